@@ -1,0 +1,49 @@
+// What a scene does not need: pure functions from measured facts to decisions.
+//
+// Stages measure facts, ask here, act on the answer and record it in their manifest. A decision can be forced either
+// way by an option of the stage; `reason` then says so.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "pipeline/json.h"
+
+namespace nrff {
+
+struct Decision {
+  std::string feature;    // "sfm", "undistortion", "contraction", …
+  bool needed = true;
+  std::string evidence;   // the measured fact, with its unit
+  std::string threshold;  // what the fact was compared with
+  std::string reason;     // one clause: why this follows
+};
+
+void to_json(Json& json, const Decision& value);
+void from_json(const Json& json, Decision& value);
+
+namespace needs {
+
+// SfM is left out when the capture brings poses.
+Decision Sfm(bool poses_given, const std::string& where_from);
+
+// Undistortion is left out when no pixel moves by 0.1 px or more.
+Decision Undistortion(double largest_displacement_px);
+
+// Contraction of unbounded space is left out when the capture gives a bounding box, is masked (alpha), or was declared
+// bounded. `background_fraction` is the share of sparse points outside the box seen by the cameras.
+Decision Contraction(bool box_given, bool has_alpha, std::optional<double> background_fraction);
+
+// All pairs are matched when there are few; beyond that, neighbours in capture order (with loop closure) are enough if
+// the capture is ordered.
+Decision ExhaustiveMatching(int n_images, bool ordered);
+
+// LPIPS is left out when no network file is given.
+Decision Lpips(const std::string& network_path);
+
+// CUDA is left out when there is no usable GPU or the build has no CUDA kernels.
+Decision Cuda(bool built_with_cuda, int n_gpus);
+
+}  // namespace needs
+}  // namespace nrff

@@ -1,0 +1,79 @@
+// The scene: what training, rendering and evaluation know about a capture. Written by the pose stage.
+//
+//   scene.json   this struct (schema in ARCHITECTURE.md)
+//   images.u8    the pixels: per view height × width × channels uint8, row-major, sRGB, straight alpha, at pack_offset
+//
+// Conventions: OpenCV camera axes (x right, y down, z forward); pixel centres at +0.5; pinhole, no distortion left.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+namespace nrff {
+
+using Vec3 = std::array<double, 3>;
+using Mat4 = std::array<double, 16>;  // row-major
+
+enum class Split { kTrain, kTest };
+
+struct View {
+  std::string id;    // "000012": unique, a safe file name
+  std::string name;  // the photo's name, escaped (EscapePath), for people
+  Split split = Split::kTrain;
+  int width = 0, height = 0;  // px
+  int channels = 3;           // 3 RGB, 4 RGBA
+  uint64_t pack_offset = 0;   // bytes into images.u8
+  double fx = 0, fy = 0, cx = 0, cy = 0;  // px; principal point in the corner-origin convention (centre of 2×2 px: 1, 1)
+  Mat4 scene_from_camera{};               // rigid
+
+  uint64_t PixelBytes() const { return uint64_t(width) * height * channels; }
+};
+
+enum class Background { kNone, kWhite, kBlack };  // what an RGBA pixel is composited onto; kNone: the field explains every pixel
+
+struct Scene {
+  std::string name;
+  Background background = Background::kNone;
+  // Bounded: the field fills [aabb_min, aabb_max] and nothing is outside. Unbounded: that box is the foreground, what
+  // is outside is contracted (render/scene_map.h).
+  bool unbounded = false;
+  Vec3 aabb_min{-1, -1, -1}, aabb_max{1, 1, 1};  // scene units
+  double near = 0.05, far = 6;                   // along the ray, scene units
+  Mat4 scene_from_world{};                       // similarity: scale·rotation, translation
+  std::vector<View> views;                       // by id
+
+  std::vector<int> ViewsOf(Split split) const;  // indices
+};
+
+inline constexpr int kSceneSchemaVersion = 1;
+
+void SaveScene(const Scene& scene, const std::filesystem::path& dir);
+// Checks everything a reader relies on: finite, rotations orthonormal and right-handed, offsets inside the pack.
+Scene LoadScene(const std::filesystem::path& dir);
+
+// Read-only memory map of images.u8.
+class ImagePack {
+ public:
+  explicit ImagePack(const std::filesystem::path& dir);
+  ~ImagePack();
+  ImagePack(const ImagePack&) = delete;
+  ImagePack& operator=(const ImagePack&) = delete;
+  const uint8_t* Pixels(const View& view) const { return data_ + view.pack_offset; }
+  uint64_t size_bytes() const { return size_; }
+
+ private:
+  const uint8_t* data_ = nullptr;
+  uint64_t size_ = 0;
+};
+
+inline constexpr char kSceneFile[] = "scene.json";
+inline constexpr char kPackFile[] = "images.u8";
+
+Mat4 Multiply(const Mat4& a, const Mat4& b);
+// Inverse of a similarity (scale·rotation, translation).
+Mat4 InverseSimilarity(const Mat4& m);
+
+}  // namespace nrff

@@ -1,0 +1,26 @@
+// What every stage executable's main shares: parsing, exit codes, the parameters that make the result.
+#pragma once
+
+#include <CLI/CLI.hpp>
+#include <functional>
+#include <string>
+
+#include "pipeline/manifest.h"
+
+namespace nrff {
+
+// CLI11 group of the options that change the result. Options in it enter the manifest's params; others (threads,
+// verbosity, output place) do not.
+inline constexpr char kParameterGroup[] = "Parameters";
+
+// The options of `app` in kParameterGroup that were given, as text (several values joined by ','; flags "true").
+Params GivenParams(const CLI::App& app);
+
+// Adds --quiet and --verbose.
+void AddVerbosity(CLI::App& app);
+
+// Parses, runs `body`, maps Error and std::exception to exit codes and one "error: …" line on stderr. Throws nothing.
+// bad_alloc and ENOSPC end with kResource.
+int StageMain(CLI::App& app, int argc, char** argv, const std::function<void()>& body);
+
+}  // namespace nrff
