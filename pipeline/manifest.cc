@@ -1,0 +1,209 @@
+#include "pipeline/manifest.h"
+
+#include <sys/resource.h>
+#include <sys/utsname.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <fstream>
+
+#include "pipeline/error.h"
+#include "pipeline/files.h"
+
+namespace nrff {
+namespace fs = std::filesystem;
+namespace {
+
+constexpr char kPartialState[] = "partial.json";  // {key, seconds}: whose attempt a partial directory holds
+
+std::string CpuName() {
+  std::ifstream cpuinfo("/proc/cpuinfo");
+  for (std::string line; std::getline(cpuinfo, line);) {
+    if (line.starts_with("model name")) {
+      const size_t colon = line.find(": ");
+      if (colon != std::string::npos) return line.substr(colon + 2);
+    }
+  }
+  return "unknown";
+}
+
+Json Host() {
+  utsname name{};
+  uname(&name);
+  return {{"cpu", CpuName()},
+          {"cores", sysconf(_SC_NPROCESSORS_ONLN)},
+          {"memory_bytes", static_cast<uint64_t>(sysconf(_SC_PHYS_PAGES)) * static_cast<uint64_t>(sysconf(_SC_PAGE_SIZE))},
+          {"os", std::string(name.sysname) + " " + name.release}};
+}
+
+// Of this process and, as the largest single one, of its children.
+uint64_t PeakMemoryBytes() {
+  uint64_t peak = 0;
+  for (const int who : {RUSAGE_SELF, RUSAGE_CHILDREN}) {
+    rusage usage{};
+    getrusage(who, &usage);
+    peak = std::max(peak, static_cast<uint64_t>(usage.ru_maxrss) * 1024);
+  }
+  return peak;
+}
+
+std::string AttemptKey(const Manifest& manifest) {
+  return HashBytes(Json{manifest.kind, manifest.version, manifest.params, manifest.inputs}.dump());
+}
+
+}  // namespace
+
+std::string Version() { return NRFF_VERSION; }
+
+std::string Manifest::ContentHash() const {
+  std::string listing;
+  for (const HashedPath& output : outputs) listing += output.path + '\n' + output.hash + '\n';
+  return HashBytes(listing);
+}
+
+void to_json(Json& json, const HashedPath& value) {
+  json = {{"path", value.path}, {"hash", value.hash}, {"size_bytes", value.size_bytes}};
+}
+
+void from_json(const Json& json, HashedPath& value) {
+  json.at("path").get_to(value.path);
+  json.at("hash").get_to(value.hash);
+  json.at("size_bytes").get_to(value.size_bytes);
+}
+
+void to_json(Json& json, const Manifest& value) {
+  json = {{"schema_version", kManifestSchemaVersion},
+          {"kind", value.kind},
+          {"producer", value.producer},
+          {"version", value.version},
+          {"params", value.params},
+          {"inputs", value.inputs},
+          {"outputs", value.outputs},
+          {"facts", value.facts},
+          {"decisions", value.decisions},
+          {"seconds", value.seconds},
+          {"peak_memory_bytes", value.peak_memory_bytes},
+          {"host", value.host}};
+}
+
+void from_json(const Json& json, Manifest& value) {
+  json.at("kind").get_to(value.kind);
+  json.at("producer").get_to(value.producer);
+  json.at("version").get_to(value.version);
+  json.at("params").get_to(value.params);
+  json.at("inputs").get_to(value.inputs);
+  json.at("outputs").get_to(value.outputs);
+  value.facts = json.at("facts");
+  json.at("decisions").get_to(value.decisions);
+  json.at("seconds").get_to(value.seconds);
+  json.at("peak_memory_bytes").get_to(value.peak_memory_bytes);
+  value.host = json.at("host");
+}
+
+std::optional<Manifest> ReadManifest(const fs::path& artifact_dir) {
+  const fs::path path = artifact_dir / kManifestName;
+  std::error_code error;
+  if (!fs::exists(path, error)) return std::nullopt;
+  const Json json = ReadJson(path);
+  CheckSchemaVersion(json, kManifestSchemaVersion, EscapePath(path));
+  try {
+    return json.get<Manifest>();
+  } catch (const nlohmann::json::exception& reason) {
+    throw CorruptError(EscapePath(path) + " is not a manifest: " + reason.what());
+  }
+}
+
+Manifest RequireArtifact(const fs::path& artifact_dir, const std::string& kind) {
+  std::optional<Manifest> manifest = ReadManifest(artifact_dir);
+  if (!manifest) {
+    throw InputError(EscapePath(artifact_dir) + " holds no finished " + kind + " artifact (no " + kManifestName +
+                     "): run the " + kind + " stage first");
+  }
+  if (manifest->kind != kind) {
+    throw InputError(EscapePath(artifact_dir) + " is an artifact of the stage " + manifest->kind + ", expected one of " + kind);
+  }
+  for (const HashedPath& output : manifest->outputs) {
+    const fs::path file = artifact_dir / UnescapePath(output.path);
+    std::error_code error;
+    const uint64_t size = fs::file_size(file, error);
+    if (error || size != output.size_bytes) {
+      throw CorruptError(EscapePath(file) + (error ? " is missing" : " has " + std::to_string(size) + " bytes instead of " +
+                                                                         std::to_string(output.size_bytes)) +
+                         ": run the " + kind + " stage again with --force");
+    }
+  }
+  return *manifest;
+}
+
+HashedPath ArtifactInput(const fs::path& artifact_dir, const Manifest& manifest) {
+  fs::path dir = fs::absolute(artifact_dir).lexically_normal();
+  if (!dir.has_filename()) dir = dir.parent_path();
+  // By stage, not by place: a workspace that is moved stays fresh.
+  return {EscapePath(dir.filename()), manifest.ContentHash(), 0};
+}
+
+ArtifactWriter::ArtifactWriter(std::string kind, fs::path out, Params params, std::vector<HashedPath> inputs, Partial partial)
+    : out_(fs::absolute(out).lexically_normal()), start_(std::chrono::steady_clock::now()) {
+  if (!out_.has_filename()) out_ = out_.parent_path();
+  dir_ = out_.native() + ".partial";
+  manifest_.kind = std::move(kind);
+  manifest_.producer = fs::read_symlink("/proc/self/exe").filename();
+  manifest_.version = Version();
+  manifest_.params = std::move(params);
+  manifest_.inputs = std::move(inputs);
+
+  const std::string key = AttemptKey(manifest_);
+  const fs::path state_path = dir_ / kPartialState;
+  std::error_code error;
+  if (partial == kKeepPartial && fs::exists(state_path, error)) {
+    try {
+      const Json state = ReadJson(state_path);
+      resumed_ = state.at("key") == key;
+      seconds_before_ = state.at("seconds").get<double>();
+    } catch (const std::exception&) {
+      resumed_ = false;  // an attempt that cannot be identified is not gone on with
+    }
+  }
+  if (resumed_) return;
+  seconds_before_ = 0;
+  fs::remove_all(dir_, error);
+  fs::create_directories(dir_, error);
+  if (error) throw ResourceError("cannot create " + EscapePath(dir_) + ": " + error.message());
+  WriteJson(state_path, {{"key", key}, {"seconds", 0.0}});
+}
+
+double ArtifactWriter::SecondsSoFar() const {
+  return seconds_before_ + std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
+}
+
+void ArtifactWriter::SaveSeconds() const {
+  WriteJson(dir_ / kPartialState, {{"key", AttemptKey(manifest_)}, {"seconds", SecondsSoFar()}});
+}
+
+void ArtifactWriter::Commit() {
+  std::vector<fs::path> files;
+  for (const std::string& output : outputs_) {
+    const fs::path path = dir_ / output;
+    if (fs::is_directory(path)) {
+      for (const auto& entry : fs::recursive_directory_iterator(path)) {
+        if (entry.is_regular_file()) files.push_back(entry.path());
+      }
+    } else {
+      files.push_back(path);
+    }
+  }
+  std::sort(files.begin(), files.end(), [](const fs::path& a, const fs::path& b) { return a.native() < b.native(); });
+  files.erase(std::unique(files.begin(), files.end()), files.end());
+  for (const fs::path& file : files) {
+    SyncPath(file);
+    manifest_.outputs.push_back({EscapePath(file.lexically_relative(dir_)), HashFile(file), fs::file_size(file)});
+  }
+  manifest_.seconds = SecondsSoFar();
+  manifest_.peak_memory_bytes = PeakMemoryBytes();
+  manifest_.host = Host();
+  fs::remove(dir_ / kPartialState);
+  WriteJson(dir_ / kManifestName, manifest_);
+  ReplaceDirectory(dir_, out_);
+}
+
+}  // namespace nrff

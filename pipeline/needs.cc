@@ -1,0 +1,87 @@
+#include "pipeline/needs.h"
+
+#include <cstdio>
+
+namespace nrff {
+
+void to_json(Json& json, const Decision& value) {
+  json = {{"feature", value.feature},
+          {"needed", value.needed},
+          {"evidence", value.evidence},
+          {"threshold", value.threshold},
+          {"reason", value.reason}};
+}
+
+void from_json(const Json& json, Decision& value) {
+  json.at("feature").get_to(value.feature);
+  json.at("needed").get_to(value.needed);
+  json.at("evidence").get_to(value.evidence);
+  json.at("threshold").get_to(value.threshold);
+  json.at("reason").get_to(value.reason);
+}
+
+namespace needs {
+namespace {
+
+std::string Format(const char* format, double value) {
+  char text[96];
+  std::snprintf(text, sizeof text, format, value);
+  return text;
+}
+
+}  // namespace
+
+Decision Sfm(bool poses_given, const std::string& where_from) {
+  return {"sfm", !poses_given, poses_given ? "poses given by " + where_from : "no poses in " + where_from, "poses given",
+          poses_given ? "the capture brings its camera poses" : "camera poses have to be estimated from the photos"};
+}
+
+Decision Undistortion(double largest_displacement_px) {
+  const bool needed = largest_displacement_px >= 0.1;
+  return {"undistortion", needed, Format("largest displacement %.3g px", largest_displacement_px), "0.1 px",
+          needed ? "straight rays would miss their pixels" : "the lens moves no pixel visibly"};
+}
+
+Decision Contraction(bool box_given, bool has_alpha, std::optional<double> background_fraction) {
+  Decision decision{"contraction", true, "", "a box, an alpha channel, or < 2 % of the points outside the box", ""};
+  if (box_given) {
+    decision.needed = false;
+    decision.evidence = "bounding box given";
+    decision.reason = "everything there is to see is inside the box";
+  } else if (has_alpha) {
+    decision.needed = false;
+    decision.evidence = "alpha channel";
+    decision.reason = "the background is masked out";
+  } else {
+    decision.needed = !background_fraction || *background_fraction >= 0.02;
+    decision.evidence =
+        background_fraction ? Format("%.1f %% of the sparse points lie outside the box", *background_fraction * 100) : "no sparse points";
+    decision.reason = decision.needed ? "the photos show surroundings that need a place" : "the photos show nothing but the object";
+  }
+  return decision;
+}
+
+Decision ExhaustiveMatching(int n_images, bool ordered) {
+  // 32 images have 496 pairs, about what sequential matching with an overlap of ten takes for fifty.
+  const bool needed = n_images <= 32 || !ordered;
+  return {"exhaustive_matching", needed, std::to_string(n_images) + (ordered ? " photos in capture order" : " photos in no known order"),
+          "32 photos, or no order",
+          !needed         ? "neighbours in capture order overlap"
+          : n_images <= 32 ? "all pairs of so few are cheap"
+                           : "any two photos may overlap"};
+}
+
+Decision Lpips(const std::string& network_path) {
+  const bool given = !network_path.empty();
+  return {"lpips", given, given ? "network " + network_path : "no network file", "a network file",
+          given ? "the network is there" : "LPIPS is defined by the weights of its network"};
+}
+
+Decision Cuda(bool built_with_cuda, int n_gpus) {
+  const bool needed = built_with_cuda && n_gpus > 0;
+  return {"cuda", needed, std::to_string(n_gpus) + " usable GPUs, " + (built_with_cuda ? "CUDA kernels built" : "no CUDA kernels in this build"),
+          "a GPU and CUDA kernels", needed ? "the GPU is faster" : "the CPU kernels do the work"};
+}
+
+}  // namespace needs
+}  // namespace nrff

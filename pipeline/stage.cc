@@ -1,0 +1,57 @@
+#include "pipeline/stage.h"
+
+#include <cerrno>
+#include <cstdio>
+#include <new>
+#include <system_error>
+
+#include "pipeline/error.h"
+#include "pipeline/log.h"
+
+namespace nrff {
+
+Params GivenParams(const CLI::App& app) {
+  Params params;
+  for (const CLI::Option* option : app.get_options()) {
+    if (option->get_group() != kParameterGroup || option->count() == 0) continue;
+    std::string value;
+    for (const std::string& part : option->results()) value += (value.empty() ? "" : ",") + part;
+    params[option->get_single_name()] = value;
+  }
+  return params;
+}
+
+void AddVerbosity(CLI::App& app) {
+  auto* quiet = app.add_flag_callback("-q,--quiet", [] { SetVerbosity(Verbosity::kQuiet); }, "Warnings and errors only");
+  app.add_flag_callback("-v,--verbose", [] { SetVerbosity(Verbosity::kVerbose); }, "More detail")->excludes(quiet);
+}
+
+int StageMain(CLI::App& app, int argc, char** argv, const std::function<void()>& body) {
+  const auto fail = [](ExitCode code, const std::string& message) {
+    std::fprintf(stderr, "error: %s\n", message.c_str());
+    return static_cast<int>(code);
+  };
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::Success& success) {  // --help, --version
+    return app.exit(success);
+  } catch (const CLI::Error& error) {
+    return fail(ExitCode::kUsage, std::string(error.what()) + " (see " + app.get_name() + " --help)");
+  }
+  try {
+    body();
+    return static_cast<int>(ExitCode::kDone);
+  } catch (const Error& error) {
+    return fail(error.code(), error.what());
+  } catch (const std::bad_alloc&) {
+    return fail(ExitCode::kResource, app.get_name() + " ran out of memory: use --max-image-size or a smaller --preset");
+  } catch (const std::system_error& error) {  // std::filesystem's, too
+    const bool resource = error.code() == std::errc::no_space_on_device || error.code() == std::errc::read_only_file_system ||
+                          error.code() == std::errc::permission_denied || error.code() == std::errc::too_many_files_open;
+    return fail(resource ? ExitCode::kResource : ExitCode::kInput, error.what());
+  } catch (const std::exception& error) {
+    return fail(ExitCode::kResource, app.get_name() + " failed unexpectedly: " + error.what());
+  }
+}
+
+}  // namespace nrff
