@@ -1,4 +1,4 @@
-// From scene space to field coordinates in [-1, 1]³.
+// From scene space to field coordinates in [-1, 1]³, and back.
 //
 // Bounded: affine, box → [-1, 1]³; nothing is outside. Sample intervals are in scene units.
 // Unbounded: the foreground box → [-1, 1]³ affinely (u), then the contraction of mip-NeRF 360 [Barron22] in the L∞
@@ -7,6 +7,7 @@
 // step·max(1, m²)), so that far samples get thinner and σ keeps its range.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 
@@ -14,23 +15,44 @@ namespace nrff {
 
 struct SceneMap {
   bool unbounded = false;
-  std::array<float, 3> center{0, 0, 0};       // of the box, scene units
-  std::array<float, 3> half_extent{1, 1, 1};  // of the box, scene units
+  std::array<double, 3> center{0, 0, 0};       // of the box, scene units
+  std::array<double, 3> half_extent{1, 1, 1};  // of the box, scene units
+
+  static SceneMap FromBox(const std::array<double, 3>& min, const std::array<double, 3>& max, bool unbounded) {
+    SceneMap map;
+    map.unbounded = unbounded;
+    for (int k = 0; k < 3; ++k) {
+      map.center[k] = 0.5 * (min[k] + max[k]);
+      map.half_extent[k] = 0.5 * (max[k] - min[k]);
+    }
+    return map;
+  }
 
   // scene point → field coordinates
   template <typename Scalar>
   void ToField(const Scalar scene[3], Scalar field[3]) const {
     Scalar u[3], m = 0;
-    for (int i = 0; i < 3; ++i) {
-      u[i] = (scene[i] - Scalar(center[i])) / Scalar(half_extent[i]);
-      m = std::max(m, std::abs(u[i]));
+    for (int k = 0; k < 3; ++k) {
+      u[k] = (scene[k] - Scalar(center[k])) / Scalar(half_extent[k]);
+      m = std::max(m, std::abs(u[k]));
     }
-    if (!unbounded) {
-      for (int i = 0; i < 3; ++i) field[i] = u[i];
-      return;
-    }
-    const Scalar scale = m <= 1 ? Scalar(0.5) : Scalar(0.5) * (2 - 1 / m) / m;
-    for (int i = 0; i < 3; ++i) field[i] = scale * u[i];
+    const Scalar scale = unbounded ? ContractionScale(m) : Scalar(1);
+    for (int k = 0; k < 3; ++k) field[k] = scale * u[k];
+  }
+
+  // field coordinates → scene point. Unbounded: |field|∞ < 1 (the faces of the cube lie at infinity).
+  template <typename Scalar>
+  void ToScene(const Scalar field[3], Scalar scene[3]) const {
+    const Scalar m = 2 * std::max({std::abs(field[0]), std::abs(field[1]), std::abs(field[2])});
+    // m_u = 1/(2 − m), u = c·m_u/m
+    const Scalar scale = !unbounded ? Scalar(1) : m <= 1 ? Scalar(2) : 2 / ((2 - m) * m);
+    for (int k = 0; k < 3; ++k) scene[k] = Scalar(center[k]) + Scalar(half_extent[k]) * scale * field[k];
+  }
+
+  // Field coordinates = ContractionScale(|u|∞)·u in unbounded scenes.
+  template <typename Scalar>
+  static Scalar ContractionScale(Scalar m) {
+    return m <= 1 ? Scalar(0.5) : Scalar(0.5) * (2 - 1 / m) / m;
   }
 };
 

@@ -1,0 +1,83 @@
+// Where samples are worth taking: a cube of cells over field coordinates [-1, 1]³, each with the opacity
+// 1 − exp(−σ·step) it was last seen with and a bit that says whether rays are sampled in it.
+//
+// A cell whose opacity was measured keeps max(decay·old, new) [Mueller22], so that a cell the jittered point missed
+// once is not lost. A cell is occupied when a camera sees it (MarkSeen) and its opacity exceeds
+// min(threshold, mean opacity of the seen cells); the mean keeps a field that is nearly empty everywhere, as at the
+// start, from losing all its cells.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "pipeline/scene.h"
+#include "render/kernels/occupancy_bits.h"
+#include "render/scene_map.h"
+
+namespace nrff {
+
+class RadianceField;
+
+class OccupancyGrid {
+ public:
+  // Everything is seen and occupied. `resolution` cells per axis: a multiple of 8, else InputError.
+  explicit OccupancyGrid(int resolution);
+
+  struct UpdateOptions {
+    double step = 0.01;       // the length opacity is taken over; Samples::delta's unit
+    float decay = 0.95F;
+    float threshold = 0.01F;  // opacity
+    // Cells measured: so many drawn from all that are seen, and so many from the occupied ones; 0 and 0: every seen
+    // cell. Cells not drawn keep their opacity.
+    int64_t n_random = 0, n_occupied = 0;
+    uint64_t seed = 0, counter = 0;  // of the draws and of the point in the cell (render/kernels/random.h)
+    bool dilate = false;             // also the 26 neighbours of an occupied cell (3³ max-pool of the paper's schedule)
+  };
+  // Evaluates field.Density at a random point in each chosen cell, without gradients, and sets the bits anew.
+  void Update(const RadianceField& field, const UpdateOptions& options);
+
+  // Only cells that at least `min_views` of the views see remain sampled, from now on. A cell is seen when its bounding
+  // sphere meets the view's frustum beyond `near` (scene units).
+  void MarkSeen(const std::vector<View>& views, const SceneMap& map, double near, int min_views);
+
+  int resolution() const { return resolution_; }
+  // Valid until the next change of the grid.
+  OccupancyBits bits() const { return {resolution_, occupied_.data(), blocks_.data()}; }
+  bool Occupied(int x, int y, int z) const;
+  double OccupiedFraction() const;
+
+  struct Box {
+    std::array<double, 3> min, max;  // field coordinates
+  };
+  // Smallest box of cells that holds every occupied one; the whole cube when none is.
+  Box OccupiedBox() const;
+
+  // Everything a checkpoint needs to go on from.
+  struct State {
+    int resolution = 0;
+    std::vector<float> opacity;      // [resolution³] block-major (Index)
+    std::vector<uint64_t> seen;      // [resolution³/64] bits, laid out as OccupancyBits::cells
+    std::vector<uint64_t> occupied;  // [resolution³/64]
+  };
+  State GetState() const { return {resolution_, opacity_, seen_, occupied_}; }
+  // Throws CorruptError when the sizes do not fit the resolution.
+  static OccupancyGrid FromState(State state);
+
+ private:
+  // Cell number in storage order: 512·block + 64·(z%8) + 8·(y%8) + x%8, so that bit `i % 64` of word `i / 64` is cell i.
+  std::array<int, 3> CellAt(int64_t index) const;
+  int64_t Index(int x, int y, int z) const;
+  std::vector<int64_t> ChooseCells(const UpdateOptions& options) const;
+  void Measure(const RadianceField& field, const std::vector<int64_t>& cells, const UpdateOptions& options);
+  void SetOccupied(float threshold, bool dilate);
+  void Dilate();
+  void SetBlocks();
+
+  int resolution_;
+  std::vector<float> opacity_;
+  std::vector<uint64_t> seen_, occupied_;
+  std::vector<uint8_t> blocks_;
+};
+
+}  // namespace nrff
