@@ -1,0 +1,14 @@
+#!/usr/bin/env bash
+# Installs what is missing, builds, runs all tests.
+#   ./test.sh                 the optimised build
+#   ./test.sh asan            the same tests under AddressSanitizer and UndefinedBehaviorSanitizer
+#   ./test.sh tidy            clang-tidy over our own code (no tests)
+set -euo pipefail
+cd "$(dirname "$0")"
+preset=${1:-cpu}
+case $preset in cpu) build=build ;; asan) build=build-asan ;; tidy) build=build-tidy ;;
+  *) echo "usage: ./test.sh [cpu|asan|tidy]" >&2; exit 2 ;;
+esac
+tools/setup.sh
+tools/build.sh "$preset"
+[ "$preset" = tidy ] || ctest --test-dir "$build" --output-on-failure --parallel "$(nproc)"

@@ -1,0 +1,7 @@
+#!/usr/bin/env bash
+# Configures and builds one preset: tools/build.sh [cpu|asan|tidy]
+set -euo pipefail
+cd "$(dirname "$0")/.."
+preset=${1:-cpu}
+cmake --preset "$preset" -Wno-dev >/dev/null
+cmake --build --preset "$preset"
