@@ -1,10 +1,10 @@
 // Where samples are worth taking: a cube of cells over field coordinates [-1, 1]³, each with the opacity
 // 1 − exp(−σ·step) it was last seen with and a bit that says whether rays are sampled in it.
 //
-// A cell whose opacity was measured keeps max(decay·old, new) [Mueller22], so that a cell the jittered point missed
-// once is not lost. A cell is occupied when a camera sees it (MarkSeen) and its opacity exceeds
-// min(threshold, mean opacity of the seen cells); the mean keeps a field that is nearly empty everywhere, as at the
-// start, from losing all its cells.
+// A cell whose opacity is measured keeps max(decay·old, new) [Mueller22], so that a cell the random point missed once
+// is not lost. A cell is occupied when cameras see it (MarkSeen) and its opacity reaches min(threshold, mean opacity of
+// the seen cells), or was never measured; the mean keeps a field that is nearly empty everywhere, as at the start, from
+// losing all its cells.
 #pragma once
 
 #include <array>
@@ -34,7 +34,7 @@ class OccupancyGrid {
     uint64_t seed = 0, counter = 0;  // of the draws and of the point in the cell (render/kernels/random.h)
     bool dilate = false;             // also the 26 neighbours of an occupied cell (3³ max-pool of the paper's schedule)
   };
-  // Evaluates field.Density at a random point in each chosen cell, without gradients, and sets the bits anew.
+  // Evaluates field.Density at a random point (float) in each chosen cell, without gradients, and sets the bits anew.
   void Update(const RadianceField& field, const UpdateOptions& options);
 
   // Only cells that at least `min_views` of the views see remain sampled, from now on. A cell is seen when its bounding
@@ -56,7 +56,7 @@ class OccupancyGrid {
   // Everything a checkpoint needs to go on from.
   struct State {
     int resolution = 0;
-    std::vector<float> opacity;      // [resolution³] block-major (Index)
+    std::vector<float> opacity;      // [resolution³] in the bits' order; −1: never measured
     std::vector<uint64_t> seen;      // [resolution³/64] bits, laid out as OccupancyBits::cells
     std::vector<uint64_t> occupied;  // [resolution³/64]
   };
@@ -65,9 +65,8 @@ class OccupancyGrid {
   static OccupancyGrid FromState(State state);
 
  private:
-  // Cell number in storage order: 512·block + 64·(z%8) + 8·(y%8) + x%8, so that bit `i % 64` of word `i / 64` is cell i.
+  // Cells are numbered in storage order, 512·block + 64·(z%8) + 8·(y%8) + x%8: cell i is bit i % 64 of word i / 64.
   std::array<int, 3> CellAt(int64_t index) const;
-  int64_t Index(int x, int y, int z) const;
   std::vector<int64_t> ChooseCells(const UpdateOptions& options) const;
   void Measure(const RadianceField& field, const std::vector<int64_t>& cells, const UpdateOptions& options);
   void SetOccupied(float threshold, bool dilate);
