@@ -1,0 +1,28 @@
+// Whole images of a model: a pinhole view rendered in tiles of rays, without gradients.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <vector>
+
+#include "pipeline/scene.h"
+#include "render/volume_renderer.h"
+
+namespace nrff {
+
+struct RenderedImage {
+  int width = 0, height = 0;   // px
+  std::vector<float> rgb;      // [height, width, 3] display-referred, in [0, 1] where the field's colours are
+  std::vector<float> depth;    // [height, width] expected distance along the ray, scene units; 0 where opacity < ½
+  std::vector<float> normal;   // [height, width, 3] scene axes, length = opacity
+  std::vector<float> opacity;  // [height, width] in [0, 1]
+  int64_t n_samples = 0, n_shaded = 0;  // evaluations of density and of shading
+};
+
+// Called after every tile with the number of rays done so far.
+using TileProgress = std::function<void(int64_t n_rays_done)>;
+
+RenderedImage RenderImage(const RadianceField& field, const OccupancyGrid& occupancy, const SceneMap& map,
+                          const View& view, const RenderOptions& options, const TileProgress& progress = {});
+
+}  // namespace nrff
