@@ -101,10 +101,14 @@ class Decoder {
  private:
   nrff::Error Damaged() { return Damaged(input_->geterror()); }
   nrff::Error Damaged(std::string message) {
-    for (size_t at; (at = message.find(file_.Path())) != std::string::npos;) message.replace(at, file_.Path().size(), "file");
-    while (!message.empty() && (message.back() == '\n' || message.back() == '.')) message.pop_back();
-    return file_.Error("is truncated or damaged (" + (message.empty() ? std::string("the decoder gave up") : message) +
-                       "); copy it again");
+    // The decoders name the descriptor and take several lines.
+    for (const std::string& noise : {" (\"" + file_.Path() + "\")", " for \"" + file_.Path() + "\"", file_.Path()}) {
+      for (size_t at; (at = message.find(noise)) != std::string::npos;) message.erase(at, noise.size());
+    }
+    message.resize(message.find_last_not_of("\n.") + 1);
+    for (size_t at; (at = message.find('\n')) != std::string::npos;) message.replace(at, 1, "; ");
+    if (message.empty()) message = "the decoder gave up";
+    return file_.Error("is truncated or damaged (" + message + "); copy it again");
   }
 
   OpenFile file_;

@@ -1,0 +1,137 @@
+#include "sfm/capture.h"
+
+#include <utility>
+
+#include "pipeline/error.h"
+#include "pipeline/files.h"
+#include "pipeline/json.h"
+
+namespace nrff {
+namespace {
+
+const char* BackgroundName(Background background) {
+  switch (background) {
+    case Background::kNone: return "none";
+    case Background::kWhite: return "white";
+    case Background::kBlack: return "black";
+  }
+  return "none";
+}
+
+Background BackgroundNamed(const std::string& name, const std::string& where) {
+  for (Background background : {Background::kNone, Background::kWhite, Background::kBlack}) {
+    if (name == BackgroundName(background)) return background;
+  }
+  throw CorruptError(where + ": \"background\" is \"" + name + "\"; expected none, white or black; run ingest again");
+}
+
+Split SplitNamed(const std::string& name, const std::string& where) {
+  if (name == "train") return Split::kTrain;
+  if (name == "test") return Split::kTest;
+  throw CorruptError(where + ": \"split\" is \"" + name + "\"; expected train or test; run ingest again");
+}
+
+template <typename T>
+Json OrNull(const std::optional<T>& value) {
+  return value ? Json(*value) : Json(nullptr);
+}
+
+// value[key], nothing where it is null.
+template <typename T>
+std::optional<T> GetOptional(const Json& value, const char* key, const std::string& where) {
+  if (Get<Json>(value, key, where).is_null()) return {};
+  return Get<T>(value, key, where);
+}
+
+Json ToJson(const CaptureImage& image) {
+  const ImageInfo& info = image.info;
+  return {{"id", image.id},
+          {"path", EscapePath(image.path)},
+          {"name", image.Name()},
+          {"split", image.split == Split::kTest ? "test" : "train"},
+          {"width", info.width},
+          {"height", info.height},
+          {"orientation", info.orientation},
+          {"channels", info.channels},
+          {"bit_depth", info.bit_depth},
+          {"hash", image.hash},
+          {"camera", image.camera},
+          {"focal_px", OrNull(info.focal_px)},
+          {"make", info.make},
+          {"model", info.model},
+          {"timestamp", OrNull(info.timestamp)},
+          {"exposure_seconds", OrNull(info.exposure_seconds)},
+          {"f_number", OrNull(info.f_number)},
+          {"iso", OrNull(info.iso)},
+          {"blur", image.blur}};
+}
+
+CaptureImage ImageFromJson(const Json& json, const std::string& where) {
+  CaptureImage image;
+  image.id = Get<std::string>(json, "id", where);
+  image.path = UnescapePath(Get<std::string>(json, "path", where));
+  image.split = SplitNamed(Get<std::string>(json, "split", where), where);
+  image.hash = Get<std::string>(json, "hash", where);
+  image.camera = Get<int>(json, "camera", where);
+  image.blur = Get<double>(json, "blur", where);
+  ImageInfo& info = image.info;
+  info.width = Get<int>(json, "width", where);
+  info.height = Get<int>(json, "height", where);
+  info.orientation = Get<int>(json, "orientation", where);
+  info.channels = Get<int>(json, "channels", where);
+  info.bit_depth = Get<int>(json, "bit_depth", where);
+  info.focal_px = GetOptional<double>(json, "focal_px", where);
+  info.make = Get<std::string>(json, "make", where);
+  info.model = Get<std::string>(json, "model", where);
+  info.timestamp = GetOptional<std::string>(json, "timestamp", where);
+  info.exposure_seconds = GetOptional<double>(json, "exposure_seconds", where);
+  info.f_number = GetOptional<double>(json, "f_number", where);
+  info.iso = GetOptional<int>(json, "iso", where);
+  return image;
+}
+
+}  // namespace
+
+std::string CaptureImage::Name() const { return EscapePath(path.filename()); }
+
+void SaveCapture(const Capture& capture, const std::filesystem::path& dir) {
+  Json images = Json::array();
+  for (const CaptureImage& image : capture.images) images.push_back(ToJson(image));
+  Json rejected = Json::array();
+  for (const RejectedFile& file : capture.rejected) rejected.push_back({{"name", file.name}, {"reason", file.reason}});
+  WriteJson(dir / kCaptureFile, {{"schema_version", kCaptureSchemaVersion},
+                                 {"name", capture.name},
+                                 {"kind", capture.kind},
+                                 {"root", EscapePath(capture.root)},
+                                 {"split_rule", capture.split_rule},
+                                 {"posed", capture.posed},
+                                 {"ordered", capture.ordered},
+                                 {"background", BackgroundName(capture.background)},
+                                 {"box", OrNull(capture.box)},
+                                 {"images", std::move(images)},
+                                 {"rejected", std::move(rejected)},
+                                 {"duplicates", capture.duplicates}});
+}
+
+Capture LoadCapture(const std::filesystem::path& dir) {
+  const std::string where = EscapePath(dir / kCaptureFile);
+  const Json json = ReadJson(dir / kCaptureFile);
+  CheckSchemaVersion(json, kCaptureSchemaVersion, where);
+  Capture capture;
+  capture.name = Get<std::string>(json, "name", where);
+  capture.kind = Get<std::string>(json, "kind", where);
+  capture.root = UnescapePath(Get<std::string>(json, "root", where));
+  capture.split_rule = Get<std::string>(json, "split_rule", where);
+  capture.posed = Get<bool>(json, "posed", where);
+  capture.ordered = Get<bool>(json, "ordered", where);
+  capture.background = BackgroundNamed(Get<std::string>(json, "background", where), where);
+  capture.box = GetOptional<std::array<double, 6>>(json, "box", where);
+  for (const Json& image : Get<Json>(json, "images", where)) capture.images.push_back(ImageFromJson(image, where));
+  for (const Json& file : Get<Json>(json, "rejected", where)) {
+    capture.rejected.push_back({Get<std::string>(file, "name", where), Get<std::string>(file, "reason", where)});
+  }
+  capture.duplicates = Get<std::vector<std::vector<std::string>>>(json, "duplicates", where);
+  return capture;
+}
+
+}  // namespace nrff

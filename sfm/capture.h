@@ -1,0 +1,55 @@
+// The capture: which photos there are, how they were taken, which are held out. Written by ingest as capture.json
+// (schema in ARCHITECTURE.md), read by all pose work. It refers to the photos where they lie and never changes them.
+#pragma once
+
+#include <array>
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "pipeline/scene.h"
+#include "sfm/image_io.h"
+
+namespace nrff {
+
+struct CaptureImage {
+  std::string id;              // "000012": position in byte order of `path`
+  std::filesystem::path path;  // relative to Capture::root
+  Split split = Split::kTrain;
+  ImageInfo info;              // info.orientation is the one to apply: 1 where poses refer to the stored raster
+  std::string hash;            // of the file's bytes
+  int camera = 0;              // group: same make, model, focal length and size
+  double blur = 0;             // MeasureBlur (image_measures.h)
+
+  std::string Name() const;  // the file's name, escaped (EscapePath)
+};
+
+struct RejectedFile {
+  std::string name;    // relative to the root, escaped
+  std::string reason;  // one clause
+};
+
+struct Capture {
+  std::string name;
+  std::string kind;  // photos | transforms | nsvf | colmap
+  std::filesystem::path root;
+  std::string split_rule;
+  bool posed = false;
+  bool ordered = false;  // byte order of the names is the order of taking (IsOrdered)
+  Background background = Background::kNone;
+  std::optional<std::array<double, 6>> box;  // min xyz, max xyz, world units
+  std::vector<CaptureImage> images;          // by id
+  std::vector<RejectedFile> rejected;
+  std::vector<std::vector<std::string>> duplicates;  // groups of photos that look alike, escaped relative paths
+};
+
+inline constexpr int kCaptureSchemaVersion = 1;
+inline constexpr char kCaptureFile[] = "capture.json";
+inline constexpr char kGivenModelDir[] = "sparse";  // beside capture.json, where the capture brings poses
+
+void SaveCapture(const Capture& capture, const std::filesystem::path& dir);
+// Throws CorruptError naming file and key.
+Capture LoadCapture(const std::filesystem::path& dir);
+
+}  // namespace nrff

@@ -1,0 +1,358 @@
+#include "sfm/ingest.h"
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <cstdio>
+#include <exception>
+#include <map>
+#include <mutex>
+#include <set>
+#include <string>
+#include <system_error>
+#include <thread>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include "pipeline/error.h"
+#include "pipeline/files.h"
+#include "pipeline/log.h"
+#include "pipeline/needs.h"
+#include "pipeline/progress.h"
+#include "sfm/capture.h"
+#include "sfm/image_measures.h"
+#include "sfm/recognise.h"
+
+namespace nrff {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr int kMinSide_px = 16;  // below, there is nothing to reconstruct from
+
+struct MeasuredPhoto {
+  CaptureImage image;
+  std::optional<Split> given_split;
+  DifferenceHash look;
+  std::optional<RejectedFile> rejected;
+};
+
+// The folder's path and name as recorded: absolute, without "." and a slash at the end.
+fs::path CapturePath(const fs::path& given) {
+  const fs::path path = fs::absolute(given).lexically_normal();
+  return path.has_filename() ? path : path.parent_path();
+}
+
+// Whether a photo can be a resized copy of what a camera of that size took: the same shape up to rounding.
+bool Fits(const ColmapCamera& camera, int width, int height) {
+  const double expected_height = static_cast<double>(camera.height) * width / camera.width;
+  return std::abs(expected_height - height) <= 1 + 0.005 * height;
+}
+
+// Makes `info` say how the photo is to be turned so that its pose fits it. False where neither way does.
+bool FitOrientation(const ColmapCamera& camera, bool poses_ignore_orientation, ImageInfo& info) {
+  if (!poses_ignore_orientation && Fits(camera, info.width, info.height)) return true;
+  if (info.orientation >= 5) std::swap(info.width, info.height);
+  info.orientation = 1;
+  return Fits(camera, info.width, info.height);
+}
+
+void Measure(const Source& source, const ColmapCamera* camera, MeasuredPhoto& photo) {
+  CaptureImage& image = photo.image;
+  const fs::path file = source.root / image.path;
+  auto reject = [&](const std::string& reason) { photo.rejected = RejectedFile{EscapePath(image.path), reason}; };
+  try {
+    image.info = ProbeImage(file);
+    ImageInfo& info = image.info;
+    if (info.width < kMinSide_px || info.height < kMinSide_px) {
+      return reject("is " + std::to_string(info.width) + "×" + std::to_string(info.height) + " px; at least 16×16 are needed");
+    }
+    if (camera && !FitOrientation(*camera, source.poses_ignore_orientation, info)) {
+      return reject("is " + std::to_string(info.width) + "×" + std::to_string(info.height) + " px, but its camera is for " +
+                    std::to_string(camera->width) + "×" + std::to_string(camera->height) + " px");
+    }
+    image.hash = HashFile(file);
+    const Image pixels = ReadImageOriented(file, info.orientation);
+    info.channels = pixels.channels;
+    image.blur = MeasureBlur(pixels);
+    photo.look = HashDifferences(pixels);
+  } catch (const Error& error) {
+    photo.rejected = Rejection(source.root, image.path, error);
+  }
+}
+
+// The camera of each posed path.
+std::map<std::string, const ColmapCamera*> CamerasByPath(const Source& source) {
+  std::map<std::string, const ColmapCamera*> cameras;
+  if (!source.model) return cameras;
+  for (const auto& [id, image] : source.model->images) cameras.emplace(image.name, &source.model->cameras.at(image.camera_id));
+  return cameras;
+}
+
+std::vector<MeasuredPhoto> MeasureAll(const Source& source, int n_threads) {
+  const auto cameras = CamerasByPath(source);
+  std::vector<MeasuredPhoto> photos(source.images.size());
+  Progress progress("reading photos", static_cast<double>(photos.size()), "photos");
+  std::atomic<size_t> next = 0;
+  std::mutex mutex;  // progress, failure
+  size_t n_done = 0;
+  std::exception_ptr failure;
+  auto work = [&] {
+    for (size_t i; (i = next++) < photos.size();) {
+      try {
+        photos[i].image.path = source.images[i].path;
+        photos[i].given_split = source.images[i].split;
+        const auto camera = cameras.find(source.images[i].path.native());
+        Measure(source, camera == cameras.end() ? nullptr : camera->second, photos[i]);
+      } catch (...) {
+        const std::lock_guard lock(mutex);
+        failure = std::current_exception();
+        next = photos.size();
+        return;
+      }
+      const std::lock_guard lock(mutex);
+      progress.Update(static_cast<double>(++n_done));
+    }
+  };
+  {
+    std::vector<std::jthread> threads;
+    for (int i = 1; i < n_threads; ++i) threads.emplace_back(work);
+    work();
+  }
+  if (failure) std::rethrow_exception(failure);
+  progress.Done();
+  return photos;
+}
+
+void RejectCopies(std::vector<MeasuredPhoto>& photos) {
+  std::map<std::string, const MeasuredPhoto*> first_with_hash;
+  for (MeasuredPhoto& photo : photos) {
+    if (photo.rejected) continue;
+    const auto [first, is_new] = first_with_hash.emplace(photo.image.hash, &photo);
+    if (!is_new) photo.rejected = RejectedFile{EscapePath(photo.image.path), "has the same bytes as " + EscapePath(first->second->image.path)};
+  }
+}
+
+// Decides who is held out, and the name of the rule. The data set's own split counts if both sides are left.
+std::string FreezeHoldOut(const std::vector<std::optional<Split>>& given, std::vector<Split>& splits) {
+  auto has = [&](Split split) { return std::find(given.begin(), given.end(), split) != given.end(); };
+  const bool all_given = std::all_of(given.begin(), given.end(), [](const auto& split) { return split.has_value(); });
+  const bool own = all_given && has(Split::kTrain) && has(Split::kTest);
+  splits.clear();
+  for (size_t i = 0; i < given.size(); ++i) {
+    splits.push_back(own ? *given[i] : i % kHoldOutEvery == 0 ? Split::kTest : Split::kTrain);
+  }
+  return own ? "the data set's own" : "every 8th by file name";
+}
+
+void CheckEnough(const Source& source, size_t n_usable, const std::vector<RejectedFile>& rejected) {
+  if (n_usable >= static_cast<size_t>(kMinImages)) return;
+  std::string message = EscapePath(source.root) + ": ";
+  if (n_usable == 1 && rejected.empty()) {
+    message += "holds one photo, and one photo cannot be reconstructed";
+  } else {
+    message += std::to_string(n_usable) + " of " + std::to_string(n_usable + rejected.size()) + " photos can be used";
+    if (!rejected.empty()) message += " (" + rejected.front().name + " " + rejected.front().reason + ")";
+  }
+  throw InputError(message + "; at least " + std::to_string(kMinImages) +
+                   " different ones are needed, two to reconstruct from and one held out");
+}
+
+// Numbers the groups of photos with the same make, model, focal length and size in order of appearance.
+int GroupCameras(std::vector<CaptureImage>& images) {
+  std::map<std::tuple<std::string, std::string, double, int, int>, int> groups;
+  for (CaptureImage& image : images) {
+    const ImageInfo& info = image.info;
+    const auto key = std::tuple(info.make, info.model, info.focal_px.value_or(0), info.width, info.height);
+    image.camera = groups.emplace(key, static_cast<int>(groups.size())).first->second;
+  }
+  return static_cast<int>(groups.size());
+}
+
+Capture MakeCapture(const Source& source, std::vector<MeasuredPhoto> photos) {
+  Capture capture;
+  capture.name = EscapePath(source.root.filename());
+  capture.kind = source.kind;
+  capture.root = source.root;
+  capture.posed = source.model.has_value();
+  capture.background = source.background;
+  capture.box = source.box;
+  capture.rejected = source.rejected;
+  if (!capture.posed) RejectCopies(photos);  // posed copies may be views that show nothing
+  std::vector<std::optional<Split>> given;
+  std::vector<DifferenceHash> looks;
+  std::vector<fs::path> paths;
+  std::vector<std::optional<std::string>> timestamps;
+  for (MeasuredPhoto& photo : photos) {
+    if (photo.rejected) {
+      capture.rejected.push_back(std::move(*photo.rejected));
+      continue;
+    }
+    char id[16];
+    std::snprintf(id, sizeof(id), "%06zu", capture.images.size());
+    photo.image.id = id;
+    given.push_back(photo.given_split);
+    looks.push_back(photo.look);
+    paths.push_back(photo.image.path);
+    timestamps.push_back(photo.image.info.timestamp);
+    capture.images.push_back(std::move(photo.image));
+  }
+  CheckEnough(source, capture.images.size(), capture.rejected);
+  std::vector<Split> splits;
+  capture.split_rule = FreezeHoldOut(given, splits);
+  for (size_t i = 0; i < splits.size(); ++i) {
+    capture.images[i].split = splits[i];
+    if (capture.images[i].info.channels == 4 && capture.background == Background::kNone) capture.background = Background::kWhite;
+  }
+  capture.ordered = IsOrdered(paths, timestamps);
+  for (const std::vector<int>& group : GroupAlike(looks)) {
+    std::vector<std::string>& names = capture.duplicates.emplace_back();
+    for (int index : group) names.push_back(EscapePath(paths[index]));
+  }
+  return capture;
+}
+
+// The given poses for the photos that are used: images named by id, cameras of the photos' sizes, tracks without the
+// images that are left out.
+ColmapModel GivenModel(const ColmapModel& given, const Capture& capture) {
+  std::map<std::string, const CaptureImage*> used;
+  for (const CaptureImage& image : capture.images) used.emplace(image.path.native(), &image);
+  ColmapModel model;
+  std::map<std::tuple<uint32_t, int, int>, uint32_t> camera_ids;
+  for (const auto& [id, posed] : given.images) {
+    const auto it = used.find(posed.name);
+    if (it == used.end()) continue;
+    const ImageInfo& info = it->second->info;
+    const ColmapCamera& camera = given.cameras.at(posed.camera_id);
+    const auto next_id = static_cast<uint32_t>(camera_ids.size() + 1);
+    const auto [known, is_new] = camera_ids.emplace(std::tuple(camera.id, info.width, info.height), next_id);
+    if (is_new) {
+      ColmapCamera scaled = ScaledCamera(camera, info.width, info.height);
+      scaled.id = next_id;
+      model.cameras.emplace(next_id, std::move(scaled));
+    }
+    ColmapImage image = posed;
+    image.name = it->second->id;
+    image.camera_id = known->second;
+    for (ColmapObservation& observation : image.observations) {
+      observation.x *= static_cast<double>(info.width) / camera.width;
+      observation.y *= static_cast<double>(info.height) / camera.height;
+    }
+    model.images.emplace(id, std::move(image));
+    used.erase(it);
+  }
+  for (const auto& [id, point] : given.points) {
+    ColmapPoint kept = point;
+    std::erase_if(kept.track, [&](const auto& element) { return !model.images.contains(element.first); });
+    if (!kept.track.empty() || point.track.empty()) model.points.emplace(id, std::move(kept));
+  }
+  for (auto& [id, image] : model.images) {
+    for (ColmapObservation& observation : image.observations) {
+      if (!model.points.contains(static_cast<uint64_t>(observation.point_id))) observation.point_id = -1;
+    }
+  }
+  return model;
+}
+
+double MedianBlur(const std::vector<CaptureImage>& images) {
+  std::vector<double> blur;
+  for (const CaptureImage& image : images) blur.push_back(image.blur);
+  std::nth_element(blur.begin(), blur.begin() + static_cast<std::ptrdiff_t>(blur.size() / 2), blur.end());
+  return blur[blur.size() / 2];
+}
+
+int CountTest(const std::vector<Split>& splits) {
+  return static_cast<int>(std::count(splits.begin(), splits.end(), Split::kTest));
+}
+
+Json Facts(const Capture& capture, int n_cameras) {
+  std::vector<Split> splits;
+  int width = 0, height = 0;
+  bool has_alpha = false;
+  for (const CaptureImage& image : capture.images) {
+    splits.push_back(image.split);
+    width = std::max(width, image.info.width);
+    height = std::max(height, image.info.height);
+    has_alpha |= image.info.channels == 4;
+  }
+  Json rejected = Json::array();
+  for (const RejectedFile& file : capture.rejected) rejected.push_back({{"name", file.name}, {"reason", file.reason}});
+  const int n_test = CountTest(splits), n_images = static_cast<int>(capture.images.size());
+  return {{"kind", capture.kind},
+          {"name", capture.name},
+          {"n_images", n_images},
+          {"n_rejected", capture.rejected.size()},
+          {"n_train", n_images - n_test},
+          {"n_test", n_test},
+          {"split_rule", capture.split_rule},
+          {"posed", capture.posed},
+          {"has_alpha", has_alpha},
+          {"ordered", capture.ordered},
+          {"n_cameras", n_cameras},
+          {"width", width},
+          {"height", height},
+          {"rejected", std::move(rejected)},
+          {"duplicates", capture.duplicates},
+          {"blur_median", MedianBlur(capture.images)}};
+}
+
+void LogOutcome(const Capture& capture, const Json& facts) {
+  LogInfo(capture.name + ": " + facts["n_images"].dump() + " photos, " + facts["n_train"].dump() + " to train, " +
+          facts["n_test"].dump() + " held out (" + capture.split_rule + ")");
+  for (const RejectedFile& file : capture.rejected) LogDetail("left out: " + file.name + " " + file.reason);
+  if (!capture.rejected.empty()) {
+    LogWarning(std::to_string(capture.rejected.size()) + " files are left out, the first: " + capture.rejected.front().name +
+               " " + capture.rejected.front().reason);
+  }
+  for (const std::vector<std::string>& group : capture.duplicates) {
+    LogDetail(std::to_string(group.size()) + " photos look alike, from " + group.front() + " to " + group.back());
+  }
+}
+
+}  // namespace
+
+Json ProbeCapture(const fs::path& capture) {
+  const Source source = RecogniseCapture(CapturePath(capture));
+  CheckEnough(source, source.images.size(), source.rejected);
+  std::vector<std::optional<Split>> given;
+  bool has_alpha = false;
+  for (const SourceImage& image : source.images) {
+    given.push_back(image.split);
+    try {
+      has_alpha = has_alpha || ProbeImage(source.root / image.path).channels == 4;
+    } catch (const Error& error) {
+      LogDetail(error.what());  // Ingest rejects it by name
+    }
+  }
+  std::vector<Split> splits;
+  const std::string rule = FreezeHoldOut(given, splits);
+  const int n_test = CountTest(splits), n_images = static_cast<int>(splits.size());
+  return {{"kind", source.kind},        {"name", EscapePath(source.root.filename())},
+          {"n_images", n_images},       {"posed", source.model.has_value()},
+          {"split_rule", rule},         {"has_alpha", has_alpha},
+          {"n_train", n_images - n_test}, {"n_test", n_test}};
+}
+
+HashedPath CaptureInput(const fs::path& capture) {
+  const fs::path path = CapturePath(capture);
+  return {EscapePath(path), HashTree(path), 0};
+}
+
+void Ingest(const fs::path& capture_path, int n_threads, ArtifactWriter& artifact) {
+  const Source source = RecogniseCapture(CapturePath(capture_path));
+  LogInfo(EscapePath(source.root) + " is a capture of kind " + source.kind + ": " + source.evidence);
+  Capture capture = MakeCapture(source, MeasureAll(source, n_threads));
+  const int n_cameras = GroupCameras(capture.images);
+  SaveCapture(capture, artifact.dir());
+  artifact.AddOutput(kCaptureFile);
+  if (source.model) {
+    WriteColmapBinary(GivenModel(*source.model, capture), artifact.dir() / kGivenModelDir);
+    artifact.AddOutput(kGivenModelDir);
+  }
+  artifact.facts() = Facts(capture, n_cameras);
+  artifact.AddDecision(needs::Sfm(capture.posed, source.evidence));
+  LogOutcome(capture, artifact.facts());
+}
+
+}  // namespace nrff

@@ -1,0 +1,31 @@
+// Ingest: from a folder as the user has it to the capture that all later stages read. Decides which photos are used and
+// which are held out, before any pose is estimated; never writes to the folder.
+#pragma once
+
+#include <filesystem>
+
+#include "pipeline/json.h"
+#include "pipeline/manifest.h"
+
+namespace nrff {
+
+// What the first look at a capture says, without decoding pixels: {"kind", "name", "n_images", "posed", "split_rule",
+// "has_alpha", "n_train", "n_test"}. Damaged photos still count, and has_alpha may come from an alpha channel that is
+// opaque everywhere.
+Json ProbeCapture(const std::filesystem::path& capture);
+
+// The artifact's one input: the folder's absolute path and the hash of all files in it.
+HashedPath CaptureInput(const std::filesystem::path& capture);
+
+// Recognises the capture (recognise.h), decodes every photo with `n_threads` threads, rejects those that cannot be used
+// by name and reason, freezes the hold-out, and writes capture.json, the given poses as sparse/*.bin, facts and decisions.
+//
+// Hold-out: the data set's own split where it has one, else every 8th (index % 8 == 0) in byte order of the paths over
+// the photos that can be used. Unposed byte-identical copies are rejected; photos that look alike are only reported.
+// Throws InputError when fewer than kMinImages are left.
+void Ingest(const std::filesystem::path& capture, int n_threads, ArtifactWriter& artifact);
+
+inline constexpr int kMinImages = 3;  // two to reconstruct from, one held out
+inline constexpr int kHoldOutEvery = 8;
+
+}  // namespace nrff
