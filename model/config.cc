@@ -1,0 +1,136 @@
+#include "model/config.h"
+
+#include <stdexcept>
+
+#include "model/kernels/feature_grid.h"
+#include "model/kernels/ree.h"
+#include "pipeline/error.h"
+
+namespace nrff {
+namespace {
+
+constexpr char kGelu[] = "gelu";
+constexpr char kRelu[] = "relu";
+
+}  // namespace
+
+static void to_json(Json& json, Activation activation) { json = activation == Activation::kGelu ? kGelu : kRelu; }
+
+static void from_json(const Json& json, Activation& activation) {
+  const auto name = json.get<std::string>();
+  if (name != kGelu && name != kRelu) throw std::invalid_argument("activation is '" + name + "'");
+  activation = name == kGelu ? Activation::kGelu : Activation::kRelu;
+}
+
+// to_json and from_json; the latter throws when a key is missing.
+NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(FieldConfig, levels, base_resolution, max_resolution, density_channels,
+                                   appearance_channels, appearance_line_mean, density_scale, density_shift,
+                                   spatial_layers, spatial_width, bottleneck_width, lobes_theta, lobes_phi,
+                                   lobe_row_width, directional_layers, directional_width, activation)
+NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(TrainConfig, steps, rays, max_rays, target_shaded, grid_rate, network_rate,
+                                   final_rate, beta1, beta2, epsilon, lazy_grids, reset_with_step, orientation_weight,
+                                   density_l1_weight, density_l1_weight_later, sparsity_weight, step_voxels,
+                                   step_moments, step_ratio, occupancy_resolution, occupancy_moments,
+                                   occupancy_interval, occupancy_cells, occupancy_threshold, occupancy_decay,
+                                   occupancy_dilate, occupancy_min_views, shrink_moment, weight_threshold_first,
+                                   weight_threshold_last, weight_threshold_moment, render_weight_threshold,
+                                   unknown_background)
+
+FieldConfig FieldConfigFromJson(const Json& json, const std::string& where) {
+  try {
+    const auto config = json.get<FieldConfig>();
+    MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.density_channels);
+    MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.appearance_channels);
+    MakeLobes(config.lobes_theta, config.lobes_phi);
+    constexpr int kMost = 1 << 14;  // beyond any network that fits in memory
+    for (const int size : {config.spatial_layers, config.spatial_width, config.bottleneck_width, config.lobe_row_width,
+                           config.directional_layers, config.directional_width, config.max_resolution, config.levels}) {
+      if (size < 1 || size > kMost) throw std::invalid_argument("size " + std::to_string(size));
+    }
+    return config;
+  } catch (const std::exception& error) {
+    throw CorruptError(where + ": the field's configuration cannot be used (" + error.what() + ")");
+  }
+}
+
+namespace {
+
+// What two cores train in a few minutes; tuned on training views that were held out.
+Preset SmallPreset(bool unbounded) {
+  Preset preset;
+  FieldConfig& field = preset.field;
+  field.levels = 8;
+  field.base_resolution = 16;
+  field.max_resolution = unbounded ? 256 : 128;
+  field.appearance_line_mean = 1;
+  field.density_scale = unbounded ? 60 : 25;
+  field.density_shift = unbounded ? -5 : -4;
+  field.spatial_layers = 2;
+  field.spatial_width = 64;
+  field.bottleneck_width = 32;
+  field.lobes_theta = 4;
+  field.lobes_phi = 8;
+  field.directional_layers = 3;
+  field.directional_width = 64;
+  field.activation = Activation::kRelu;
+
+  TrainConfig& train = preset.train;
+  train.steps = 6000;
+  train.rays = 1024;
+  train.max_rays = 4096;
+  train.target_shaded = 4096;
+  train.grid_rate = 0.03;
+  train.network_rate = 3e-3;
+  train.epsilon = 1e-15;
+  train.lazy_grids = true;
+  train.reset_with_step = false;
+  train.density_l1_weight = 0;
+  train.density_l1_weight_later = 0;
+  train.sparsity_weight = 1e-3;
+  train.step_voxels = {32, 64, 128, 256};
+  train.step_moments = {0.03, 0.06, 0.1};
+  train.step_ratio = 1;
+  train.occupancy_moments = {};
+  train.occupancy_interval = 16;
+  train.occupancy_cells = 1 << 17;
+  train.occupancy_threshold = 0.005;
+  train.occupancy_decay = 0.7;
+  train.occupancy_dilate = false;
+  train.occupancy_min_views = 2;
+  train.shrink_moment = 0.1;
+  train.weight_threshold_first = unbounded ? 0.01 : 4e-3;
+  train.weight_threshold_last = unbounded ? 0.01 : 1e-3;
+  train.weight_threshold_moment = 0.5;
+  train.render_weight_threshold = 1e-3;
+  return preset;
+}
+
+Preset TinyPreset(bool unbounded) {
+  Preset preset = SmallPreset(unbounded);
+  preset.field.levels = 4;
+  preset.field.max_resolution = 64;
+  preset.field.spatial_width = 32;
+  preset.field.directional_width = 32;
+  preset.field.bottleneck_width = 16;
+  preset.train.steps = 600;
+  preset.train.rays = 512;
+  preset.train.target_shaded = 2048;
+  preset.train.step_voxels = {32, 64, 128};
+  preset.train.step_moments = {0.1, 0.2};
+  preset.train.occupancy_resolution = 64;
+  preset.train.occupancy_cells = 1 << 15;
+  return preset;
+}
+
+}  // namespace
+
+Preset MakePreset(const std::string& name, bool unbounded) {
+  if (name == "paper") return {};
+  if (name == "small") return SmallPreset(unbounded);
+  if (name == "tiny") return TinyPreset(unbounded);
+  std::string names;
+  for (const char* known : kPresetNames) names += (names.empty() ? "" : ", ") + std::string(known);
+  throw UsageError("--preset '" + name + "' is not known; the presets are " + names);
+}
+
+}  // namespace nrff

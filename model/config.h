@@ -1,0 +1,97 @@
+// What a model is (FieldConfig) and how it is trained (TrainConfig): numbers, presets, JSON.
+//
+// Presets:
+//   paper   full size and schedule of the authors' code [Han23]: hours on a CPU
+//   small   what two CPU cores train in two to three minutes; the default
+//   tiny    seconds; for tests and the example capture
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "pipeline/json.h"
+
+namespace nrff {
+
+enum class Activation { kGelu, kRelu };  // GELU by erf, as the authors' code; the paper says ReLU
+
+struct FieldConfig {
+  // Multiscale tensor decomposition (kernels/feature_grid.h).
+  int levels = 16;
+  int base_resolution = 16, max_resolution = 512;
+  int density_channels = 2, appearance_channels = 4;
+  double appearance_line_mean = 0;  // lines start at mean + 0.1·randn, planes and density lines at 0.1·randn
+  // sigma = density_scale · softplus(f + density_shift), per unit of Samples::delta.
+  double density_scale = 25, density_shift = -10;
+  // Networks: `layers` counts linear layers.
+  int spatial_layers = 3, spatial_width = 256;
+  int bottleneck_width = 128;
+  int lobes_theta = 8, lobes_phi = 16;  // kernels/ree.h
+  int lobe_row_width = 16;              // features per row of lobes, from which a shared linear layer predicts a, λ, μ
+  int directional_layers = 6, directional_width = 256;
+  Activation activation = Activation::kGelu;
+
+  bool operator==(const FieldConfig&) const = default;
+};
+
+// Moments are fractions of the training, 0 to 1, so that a schedule fits any number of steps or seconds.
+struct TrainConfig {
+  int64_t steps = 30000;
+  // Rays per step: `rays` at first; where target_shaded > 0 their number then follows it, so that about so many samples
+  // are shaded per step, up to max_rays.
+  int rays = 4096, max_rays = 4096;
+  int64_t target_shaded = 0;
+
+  // Adam (kernels/adam.h). Rates fall log-linearly, by final_rate over the whole training.
+  double grid_rate = 0.02, network_rate = 1e-3, final_rate = 0.1;
+  double beta1 = 0.9, beta2 = 0.99, epsilon = 1e-8;
+  bool lazy_grids = false;
+  bool reset_with_step = true;  // forget Adam's moments and start the fall of the rates anew when the step changes
+
+  double orientation_weight = 0.3;
+  double density_l1_weight = 8e-5;        // losses.h
+  double density_l1_weight_later = 4e-5;  // from shrink_moment on
+  double sparsity_weight = 0;             // losses.h
+
+  // Marching step = step_ratio · (volume of the box)^(1/3) / step_voxels[i]; i grows at each of step_moments. The box of
+  // an unbounded scene is that of contracted space, of side 4.
+  std::vector<int> step_voxels = {128, 152, 180, 213, 253, 300};
+  std::vector<double> step_moments = {2. / 30, 3. / 30, 4. / 30, 5.5 / 30, 7. / 30};
+  double step_ratio = 0.5;
+
+  // Occupancy grid (render/occupancy_grid.h). Either updated at occupancy_moments or every occupancy_interval steps;
+  // before the first update every sample in the box is taken.
+  int occupancy_resolution = 128;
+  std::vector<double> occupancy_moments = {2. / 30, 4. / 30};
+  int occupancy_interval = 0;
+  int64_t occupancy_cells = 0;        // measured per update but the first, half of them among the occupied; 0: all
+  double occupancy_threshold = 1e-5;  // opacity over a step
+  double occupancy_decay = 0;
+  bool occupancy_dilate = true;
+  int occupancy_min_views = 0;        // unbounded scenes: cells seen by fewer training views are empty
+  double shrink_moment = 2. / 30;     // when the box of a bounded scene shrinks to what is occupied; 0: never
+
+  // Samples of less weight are not shaded. The threshold falls log-linearly until weight_threshold_moment.
+  double weight_threshold_first = 1e-4, weight_threshold_last = 1e-4, weight_threshold_moment = 0;
+  double render_weight_threshold = 1e-4;  // of the trained model
+
+  double unknown_background = 0.5;  // grey level behind everything where the scene names none
+};
+
+void to_json(Json& json, const FieldConfig& config);
+void to_json(Json& json, const TrainConfig& config);
+// Throws CorruptError naming `where` and the key on a missing key, a wrong type or an impossible value.
+FieldConfig FieldConfigFromJson(const Json& json, const std::string& where);
+
+struct Preset {
+  FieldConfig field;
+  TrainConfig train;
+};
+
+inline constexpr const char* kPresetNames[] = {"paper", "small", "tiny"};
+
+// Throws UsageError listing the presets when there is none of that name.
+Preset MakePreset(const std::string& name, bool unbounded);
+
+}  // namespace nrff

@@ -1,0 +1,58 @@
+// Elementary functions that compilers turn into vector code inside a loop. float: polynomials, within 2 ulp where the
+// result is a normal number; double: the standard library's.
+#pragma once
+
+#include <bit>
+#include <cmath>
+#include <cstdint>
+
+#include "model/kernels/simd.h"
+
+namespace nrff {
+
+// e^x, with x taken into [−87, 88].
+NRFF_INLINE float FastExp(float x) {
+  x = x > -87.f ? x : -87.f;
+  x = x < 88.f ? x : 88.f;
+  constexpr float kRound = 12582912.f;  // 1.5·2²³: adding it rounds to an integer, in the low bits
+  const float shifted = x * 1.44269504f + kRound;
+  const float k = shifted - kRound;
+  const float r = (x - k * 0.693359375f) + k * 2.12194440e-4f;  // ln 2 in two parts
+  float p = 1.f / 5040;
+  p = p * r + 1.f / 720;
+  p = p * r + 1.f / 120;
+  p = p * r + 1.f / 24;
+  p = p * r + 1.f / 6;
+  p = p * r + 0.5f;
+  p = p * r + 1.f;
+  p = p * r + 1.f;
+  const int32_t exponent = std::bit_cast<int32_t>(shifted) - std::bit_cast<int32_t>(kRound);
+  return p * std::bit_cast<float>((exponent + 127) << 23);
+}
+NRFF_INLINE double FastExp(double x) { return std::exp(x); }
+
+// log(1 + x) for x in [0, 1].
+NRFF_INLINE float FastLog1p(float x) {
+  const float s = x / (2 + x);  // log(1 + x) = 2 artanh(s)
+  const float s2 = s * s;
+  float p = 1.f / 13;
+  p = p * s2 + 1.f / 11;
+  p = p * s2 + 1.f / 9;
+  p = p * s2 + 1.f / 7;
+  p = p * s2 + 1.f / 5;
+  p = p * s2 + 1.f / 3;
+  return 2 * s + 2 * s * s2 * p;
+}
+NRFF_INLINE double FastLog1p(double x) { return std::log1p(x); }
+
+// softplus(x) = log(1 + e^x) and its derivative, the logistic function.
+template <typename Scalar>
+NRFF_INLINE void FastSoftplus(Scalar x, Scalar& softplus, Scalar& derivative) {
+  const Scalar e = FastExp(x > 0 ? -x : x);
+  const Scalar positive = x > 0 ? x : Scalar(0);
+  softplus = positive + FastLog1p(e);
+  const Scalar numerator = x > 0 ? Scalar(1) : e;
+  derivative = numerator / (1 + e);
+}
+
+}  // namespace nrff

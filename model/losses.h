@@ -1,0 +1,19 @@
+// What training minimises besides density L1 (NrffField::DensityL1). Scalars, differentiable.
+#pragma once
+
+#include <torch/types.h>
+
+namespace nrff {
+
+// Mean squared difference of colours: rgb, target [n, 3].
+torch::Tensor MseLoss(const torch::Tensor& rgb, const torch::Tensor& target);
+
+// Normals of visible samples should face the camera [Verbin22] Eq. 11: mean over samples of w · max(n·d, 0)².
+// weights [k], normals and ray_directions [k, 3]; 0 for k = 0.
+torch::Tensor OrientationLoss(const torch::Tensor& weights, const torch::Tensor& normals,
+                              const torch::Tensor& ray_directions);
+
+// Space is mostly empty: Σ over samples of 1 − exp(−σ δ), per ray. sigma, delta [m].
+torch::Tensor SparsityLoss(const torch::Tensor& sigma, const torch::Tensor& delta, int64_t n_rays);
+
+}  // namespace nrff

@@ -1,0 +1,186 @@
+#include "model/nrff_field.h"
+
+#include <ATen/ATen.h>
+#include <c10/core/GradMode.h>
+
+#include <cmath>
+#include <numbers>
+
+#include "model/grid_crop.h"
+#include "render/kernels/random.h"
+
+namespace nrff {
+namespace {
+
+using torch::Tensor;
+
+constexpr double kGridStd = 0.1;
+constexpr int kSpatialColours = 9;  // diffuse, tint, normal
+
+// Draw number `counter` of a standard normal, by Box and Muller.
+double Normal(uint64_t seed, uint64_t stream, uint64_t counter) {
+  const double u = 1 - double(Uniform(seed, stream, 2 * counter));  // (0, 1]
+  const double v = double(Uniform(seed, stream, 2 * counter + 1));
+  return std::sqrt(-2 * std::log(u)) * std::cos(2 * std::numbers::pi * v);
+}
+
+// Fills a contiguous tensor with draw(index).
+template <typename Draw>
+void Fill(Tensor tensor, const Draw& draw) {
+  const int64_t n = tensor.numel();
+  if (tensor.scalar_type() == torch::kFloat) {
+    auto* data = tensor.mutable_data_ptr<float>();
+    for (int64_t i = 0; i < n; ++i) data[i] = float(draw(i));
+  } else {
+    auto* data = tensor.mutable_data_ptr<double>();
+    for (int64_t i = 0; i < n; ++i) data[i] = float(draw(i));  // the same numbers in either type
+  }
+}
+
+// Calls body(offset, n_elements) for every plane and line.
+template <typename Body>
+void ForEachFactor(const GridLayout& layout, const Body& body) {
+  for (const GridLayout::Level& level : layout.levels) {
+    const int64_t n_line = int64_t(level.resolution) * layout.n_channels;
+    for (const int64_t offset : level.plane_offsets) body(offset, n_line * level.resolution);
+    for (const int64_t offset : level.line_offsets) body(offset, n_line);
+  }
+}
+
+}  // namespace
+
+NrffField::NrffField(const FieldConfig& config, torch::Dtype type, uint64_t seed)
+    : config_(config),
+      type_(type),
+      density_layout_(c10::make_intrusive<SharedGridLayout>(MakeGridLayout(
+          config.levels, config.base_resolution, config.max_resolution, config.density_channels))),
+      appearance_layout_(c10::make_intrusive<SharedGridLayout>(MakeGridLayout(
+          config.levels, config.base_resolution, config.max_resolution, config.appearance_channels))),
+      lobes_(c10::make_intrusive<SharedLobes>(MakeLobes(config.lobes_theta, config.lobes_phi))) {
+  density_grid_ = AddParameter("density_grid", {density_layout().n_parameters}, true);
+  appearance_grid_ = AddParameter("appearance_grid", {appearance_layout().n_parameters}, true);
+  const int n_lobes = lobes_->lobes.size();
+  spatial_ = MakeMlp("spatial_mlp", appearance_layout().n_features(), config.spatial_width, config.spatial_layers,
+                     kSpatialColours + config.bottleneck_width + config.lobes_theta * config.lobe_row_width);
+  lobe_layer_ = MakeLinear("lobes", config.lobe_row_width, config.lobes_phi * kLobeParameters);
+  directional_ = MakeMlp("directional_mlp", config.bottleneck_width + n_lobes * kLobeAmplitudes + 1,
+                         config.directional_width, config.directional_layers, 3);
+  density_l1_weights_ = at::empty({density_layout().n_parameters}, type);
+  const double n_factors = 6. * config.levels;
+  ForEachFactor(density_layout(), [&](int64_t offset, int64_t n) {
+    density_l1_weights_.narrow(0, offset, n).fill_(1 / (double(n) * n_factors));
+  });
+  Initialise(seed);
+}
+
+Tensor NrffField::AddParameter(const std::string& name, const std::vector<int64_t>& shape, bool is_grid) {
+  Tensor value = at::zeros(shape, type_);
+  value.requires_grad_(true);
+  parameters_.push_back({name, value, is_grid});
+  return value;
+}
+
+NrffField::Linear NrffField::MakeLinear(const std::string& name, int n_in, int n_out) {
+  return {AddParameter(name + ".weight", {n_out, n_in}, false), AddParameter(name + ".bias", {n_out}, false)};
+}
+
+NrffField::Mlp NrffField::MakeMlp(const std::string& name, int n_in, int width, int n_layers, int n_out) {
+  Mlp mlp;
+  for (int i = 0; i < n_layers; ++i) {
+    const bool last = i == n_layers - 1;
+    mlp.push_back(MakeLinear(name + "." + std::to_string(i), i == 0 ? n_in : width, last ? n_out : width));
+  }
+  return mlp;
+}
+
+// Grids: normal; linear layers: uniform in ±1/√n_in, weights and biases, as torch.nn.Linear.
+void NrffField::Initialise(uint64_t seed) {
+  const c10::NoGradGuard no_grad;
+  double bound = 0;
+  for (size_t p = 0; p < parameters_.size(); ++p) {
+    const Tensor& value = parameters_[p].value;
+    const uint64_t stream = StreamAt(RandomStream::kInitialisation, p);
+    if (parameters_[p].is_grid) {
+      Fill(value, [&](int64_t i) { return kGridStd * Normal(seed, stream, i); });
+    } else {
+      if (value.dim() == 2) bound = 1 / std::sqrt(double(value.size(1)));  // a bias follows its weight
+      Fill(value, [&](int64_t i) { return bound * (2 * double(Uniform(seed, stream, i)) - 1); });
+    }
+  }
+  const GridLayout& layout = appearance_layout();
+  for (const GridLayout::Level& level : layout.levels) {
+    for (const int64_t offset : level.line_offsets) {
+      appearance_grid_.narrow(0, offset, int64_t(level.resolution) * layout.n_channels)
+          .add_(config_.appearance_line_mean);
+    }
+  }
+}
+
+Tensor NrffField::Linear::operator()(const Tensor& x) const { return at::linear(x, weight, bias); }
+
+Tensor NrffField::Apply(const Mlp& mlp, Tensor x) const {
+  for (size_t i = 0; i < mlp.size(); ++i) {
+    x = mlp[i](x);
+    if (i + 1 == mlp.size()) break;
+    x = config_.activation == Activation::kGelu ? at::gelu(x) : at::relu(x);
+  }
+  return x;
+}
+
+Tensor NrffField::DensityFeature(const Tensor& points) const {
+  return GridSum(density_layout_, density_grid_, points.to(type_));
+}
+
+Tensor NrffField::DensityFromFeature(const Tensor& feature) const {
+  return at::softplus(feature + config_.density_shift) * config_.density_scale;
+}
+
+Tensor NrffField::Density(const Tensor& points) const { return DensityFromFeature(DensityFeature(points)); }
+
+Tensor NrffField::AppearanceFeature(const Tensor& points) const {
+  return GridConcat(appearance_layout_, appearance_grid_, points.to(type_));
+}
+
+NrffField::ShadingParts NrffField::ShadeFeature(const Tensor& appearance_feature, const Tensor& ray_directions) const {
+  const int64_t n = appearance_feature.size(0);
+  const int64_t n_lobe_features = int64_t(config_.lobes_theta) * config_.lobe_row_width;
+  ShadingParts parts;
+  const std::vector<Tensor> spatial = at::split_with_sizes(Apply(spatial_, appearance_feature),
+                                                           {3, 3, 3, config_.bottleneck_width, n_lobe_features}, 1);
+  parts.diffuse = spatial[0];
+  parts.tint = spatial[1];
+  parts.normal = spatial[2] / -spatial[2].norm(2, {1}, /*keepdim=*/true).clamp_min(1e-12);
+  parts.bottleneck = spatial[3];
+  parts.lobe_features = spatial[4];
+
+  const Tensor wo = -ray_directions.to(type_);
+  const Tensor cosine = (wo * parts.normal).sum(1, /*keepdim=*/true);
+  parts.reflected_direction = 2 * cosine * parts.normal - wo;
+  parts.lobe_parameters =
+      lobe_layer_(parts.lobe_features.reshape({n * config_.lobes_theta, config_.lobe_row_width})).view({n, -1});
+  parts.encoding = ReeEncode(lobes_, parts.reflected_direction, parts.lobe_parameters);
+  const Tensor specular = Apply(directional_, at::cat({parts.bottleneck, parts.encoding, cosine}, 1));
+  parts.rgb = at::sigmoid(parts.diffuse + parts.tint * specular);
+  return parts;
+}
+
+RadianceField::Shading NrffField::Shade(const Tensor& points, const Tensor& ray_directions) const {
+  const ShadingParts parts = ShadeFeature(AppearanceFeature(points), ray_directions);
+  return {parts.rgb, parts.normal};
+}
+
+Tensor NrffField::DensityL1() const { return at::dot(density_grid_.abs(), density_l1_weights_); }
+
+int64_t NrffField::n_parameters() const {
+  int64_t n = 0;
+  for (const Parameter& parameter : parameters_) n += parameter.value.numel();
+  return n;
+}
+
+void NrffField::Crop(const std::array<double, 3>& min, const std::array<double, 3>& max) {
+  const c10::NoGradGuard no_grad;
+  density_grid_.copy_(CropGrid(density_layout(), density_grid_, min, max));
+  appearance_grid_.copy_(CropGrid(appearance_layout(), appearance_grid_, min, max));
+}
+
+}  // namespace nrff
