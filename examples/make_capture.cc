@@ -28,10 +28,10 @@ namespace fs = std::filesystem;
 namespace nrff {
 namespace {
 
-constexpr int kFocal35mm = 35;               // 35 mm equivalent, by the diagonal (CIPA DCG-001)
+constexpr int kFocal35mm = 35;  // 35 mm equivalent, by the diagonal (CIPA DCG-001)
 constexpr double kFullFrameDiagonalMm = 43.2666;
-constexpr double kCropFactor = 5.5;          // of a small sensor
-constexpr double kDepthUnit = 1.0 / 2048;    // scene units per step of the 16-bit depth
+constexpr double kCropFactor = 5.5;        // of a small sensor
+constexpr double kDepthUnit = 1.0 / 2048;  // scene units per step of the 16-bit depth
 
 struct Options {
   fs::path out;
@@ -207,8 +207,8 @@ int main(int argc, char** argv) {
   app.add_option("--seed", options.seed, "Of everything random")->capture_default_str();
   app.add_flag("--posed", options.posed, "Write transforms.json and images/ in place of photos/");
   app.add_option("--scene", options.finish, "diffuse: colours do not depend on the view; glossy (default)")
-      ->transform(CLI::Transformer(std::map<std::string, nrff::Finish>{{"diffuse", nrff::Finish::kDiffuse},
-                                                                      {"glossy", nrff::Finish::kGlossy}}));
+      ->transform(CLI::Transformer(
+          std::map<std::string, nrff::Finish>{{"diffuse", nrff::Finish::kDiffuse}, {"glossy", nrff::Finish::kGlossy}}));
   app.add_option("--threads", options.n_threads, "Processor threads")->check(CLI::Range(1, 256))->capture_default_str();
   nrff::AddVerbosity(app);
   app.footer("Example: make_capture --out example && nrff run example/photos");

@@ -32,9 +32,9 @@ uint32_t Mix(int32_t value, uint32_t seed) {
 
 // Dot product of (dx, dy, dz) with one of sixteen gradients: the edge directions of a cube, four of them twice.
 double GradientDot(uint32_t hash, double dx, double dy, double dz) {
-  static constexpr double kGradients[16][3] = {{1, 1, 0},  {-1, 1, 0},  {1, -1, 0}, {-1, -1, 0}, {1, 0, 1},  {-1, 0, 1},
-                                               {1, 0, -1}, {-1, 0, -1}, {0, 1, 1},  {0, -1, 1},  {0, 1, -1}, {0, -1, -1},
-                                               {1, 1, 0},  {-1, 1, 0},  {0, -1, 1}, {0, -1, -1}};
+  static constexpr double kGradients[16][3] = {
+      {1, 1, 0}, {-1, 1, 0}, {1, -1, 0}, {-1, -1, 0}, {1, 0, 1}, {-1, 0, 1}, {1, 0, -1}, {-1, 0, -1},
+      {0, 1, 1}, {0, -1, 1}, {0, 1, -1}, {0, -1, -1}, {1, 1, 0}, {-1, 1, 0}, {0, -1, 1}, {0, -1, -1}};
   const double* gradient = kGradients[(hash * 0x27D4EB2Fu) >> 28];
   return gradient[0] * dx + gradient[1] * dy + gradient[2] * dz;
 }
@@ -60,8 +60,9 @@ double Noise(const Vec3d& p, uint32_t seed) {
   const uint32_t hash_y[2] = {Mix(y, seed + 0x632BE59Bu), Mix(y + 1, seed + 0x632BE59Bu)};
   const uint32_t hash_z[2] = {Mix(z, seed + 0x7F4A7C15u), Mix(z + 1, seed + 0x7F4A7C15u)};
   const double u = Fade(dx), v = Fade(dy), w = Fade(dz);
-  double along_z[2];
-  for (int k = 0; k < 2; ++k) {
+  double along_z[2] = {};
+  const int n_planes = dz > 0 ? 2 : 1;  // patterns in the plane z = 0 need one
+  for (int k = 0; k < n_planes; ++k) {
     double along_y[2];
     for (int j = 0; j < 2; ++j) {
       const uint32_t hash_yz = hash_y[j] + hash_z[k];
@@ -117,8 +118,7 @@ Cell FindCell(const Vec2& p, uint32_t seed) {
 double RandomChecks(const Vec2& p, double size, double footprint, uint32_t seed) {
   const double resolved = Resolved(size, footprint);
   if (resolved <= 0) return 0;
-  const uint32_t hash = Hash(Floor(p.x() / size),
-                             Floor(p.y() / size), 0, seed);
+  const uint32_t hash = Hash(Floor(p.x() / size), Floor(p.y() / size), 0, seed);
   return resolved * (2 * UnitFromHash(hash) - 1);
 }
 

@@ -30,9 +30,9 @@ double Fractal(const Vec3d& p, double size, int n_octaves, double gain, double f
 
 // The cell of a jittered-grid Voronoi diagram [Worley 1996] with cells of size 1.
 struct Cell {
-  uint32_t id;            // a hash: uniform over 32 bits
-  double border;          // distance to the nearest border, 0 … about 0.5
-  Vec2 from_centre;       // from the cell's point to `p`
+  uint32_t id;       // a hash: uniform over 32 bits
+  double border;     // distance to the nearest border, 0 … about 0.5
+  Vec2 from_centre;  // from the cell's point to `p`
 };
 Cell FindCell(const Vec2& p, uint32_t seed);
 

@@ -12,9 +12,12 @@ constexpr double kSurfaceOffset = 1e-4;  // keeps secondary rays off the surface
 
 double BoundingRadius(const Object& object) {
   switch (object.shape) {
-    case Object::Shape::kSphere: return object.size.x();
-    case Object::Shape::kBox: return object.size.norm();
-    case Object::Shape::kTorus: return object.size.x() + object.size.y();
+    case Object::Shape::kSphere:
+      return object.size.x();
+    case Object::Shape::kBox:
+      return object.size.norm();
+    case Object::Shape::kTorus:
+      return object.size.x() + object.size.y();
   }
   return 0;
 }
@@ -26,7 +29,8 @@ double OcclusionRadius(const Object& object) {
 
 double SignedDistance(const Object& object, const Vec3d& p) {
   switch (object.shape) {
-    case Object::Shape::kSphere: return p.norm() - object.size.x();
+    case Object::Shape::kSphere:
+      return p.norm() - object.size.x();
     case Object::Shape::kBox: {
       const double round = 0.1 * object.size.minCoeff();
       const Vec3d q = p.cwiseAbs() - (object.size - Vec3d::Constant(round));
@@ -89,7 +93,8 @@ double SunVisibility(const World& world, const Vec3d& point) {
     const double penumbra = 2 * world.sun_angular_radius * (along + radius);
     if (beside > radius + penumbra) continue;
     if (object.shape == Object::Shape::kSphere) {
-      if (along > 0) visible = std::min(visible, SmoothStep(-1, 1, (beside - radius) / (along * world.sun_angular_radius)));
+      if (along > 0)
+        visible = std::min(visible, SmoothStep(-1, 1, (beside - radius) / (along * world.sun_angular_radius)));
       continue;
     }
     const Eigen::Isometry3d object_from_world = object.world_from_object.inverse();
@@ -191,9 +196,7 @@ Hit Intersect(const World& world, const Ray& ray) {
   return hit;
 }
 
-Vec3d Radiance(const World& world, const Ray& ray, double spread) {
-  return Shade(world, ray, spread, 0, 1);
-}
+Vec3d Radiance(const World& world, const Ray& ray, double spread) { return Shade(world, ray, spread, 0, 1); }
 
 Vec3d ToneMap(const Vec3d& radiance) {
   Vec3d srgb;

@@ -40,7 +40,7 @@ struct World {
   Material dome;  // emits its texture; a sphere about the origin
   double dome_radius = 0;
   Vec3d to_sun = Vec3d::UnitZ();
-  double sun_angular_radius = 0;  // radians; what makes shadows soft
+  double sun_angular_radius = 0;                                           // radians; what makes shadows soft
   Vec3d sun = Vec3d::Zero(), sky = Vec3d::Zero(), bounce = Vec3d::Zero();  // irradiance/π: sun, from above, from below
 };
 
@@ -49,8 +49,8 @@ struct Ray {
 };
 
 struct Hit {
-  double distance = 0;  // along the ray
-  Vec3d point, normal;  // world; the normal faces the ray's origin
+  double distance = 0;             // along the ray
+  Vec3d point, normal;             // world; the normal faces the ray's origin
   const Object* object = nullptr;  // null: ground or dome
   bool dome = false;
 };
@@ -74,9 +74,9 @@ struct Camera {
 };
 
 struct Picture {
-  std::vector<uint8_t> rgb;       // height × width × 3, sRGB
-  std::vector<float> distance;    // height × width, along the ray through the pixel's centre
-  std::vector<float> normal;      // height × width × 3, world axes
+  std::vector<uint8_t> rgb;     // height × width × 3, sRGB
+  std::vector<float> distance;  // height × width, along the ray through the pixel's centre
+  std::vector<float> normal;    // height × width × 3, world axes
 };
 
 // `samples` rays a pixel, jittered in the cells of a square grid (a square number: 1, 4, 9, …).

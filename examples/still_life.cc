@@ -13,9 +13,7 @@ constexpr double kPi = std::numbers::pi;
 Vec3d Mix(const Vec3d& a, const Vec3d& b, double t) { return a + std::clamp(t, 0.0, 1.0) * (b - a); }
 
 // Brightness multiplied by 1 + `change`, kept a valid albedo.
-Vec3d Shaded(const Vec3d& albedo, double change) {
-  return (albedo * std::max(1 + change, 0.1)).cwiseMin(0.95);
-}
+Vec3d Shaded(const Vec3d& albedo, double change) { return (albedo * std::max(1 + change, 0.1)).cwiseMin(0.95); }
 
 // Flagstones: each of its own colour and grain, some painted with fine checks, with dark joints.
 Vec3d Paving(const Vec3d& p, double footprint, uint32_t seed) {
@@ -28,8 +26,10 @@ Vec3d Paving(const Vec3d& p, double footprint, uint32_t seed) {
   const Vec2 plane = p.head<2>() + 0.03 * warp;
   const Cell cell = FindCell(plane / kStoneSize, seed);
   const double grain = Fractal(p, 0.3, 7, 0.78, footprint, seed + 30);
-  const double veins = std::abs(Fractal(p, 0.25, 3, 0.6, footprint, seed + 40));
-  Vec3d stone = Shaded(kStones[cell.id % kStones.size()], 0.6 * grain + 0.5 * (0.25 - veins));
+  // Chips of lighter and darker stone, crisp at two sizes.
+  const double chips = SmoothStep(0.30, 0.38, Fractal(p, 0.06, 2, 0.6, footprint, seed + 40)) -
+                       SmoothStep(0.30, 0.38, Fractal(p, 0.11, 2, 0.6, footprint, seed + 50));
+  Vec3d stone = Shaded(kStones[cell.id % kStones.size()], 0.5 * grain + 0.7 * chips);
   if (cell.id / 7 % 3 == 0) {
     const double angle = UnitFromHash(cell.id * 2654435761u) * kPi;
     const Vec2 turned(std::cos(angle) * plane.x() + std::sin(angle) * plane.y(),
@@ -47,17 +47,21 @@ Vec3d Landscape(const Vec3d& p, double footprint, uint32_t seed) {
   const Vec3d direction = p / radius;
   const double height = direction.z(), blur = footprint / radius, softness = std::max(0.002, blur);
   // From the nearest layer, which is the lowest, darkest and greenest, to the farthest.
-  static const std::array<Vec3d, 3> kHills = {Vec3d(0.10, 0.15, 0.07), Vec3d(0.17, 0.24, 0.22), Vec3d(0.30, 0.35, 0.45)};
+  static const std::array<Vec3d, 3> kHills = {Vec3d(0.10, 0.15, 0.07), Vec3d(0.17, 0.24, 0.22),
+                                              Vec3d(0.27, 0.33, 0.44)};
   const Vec3d along = Vec3d(direction.x(), direction.y(), 0).normalized();
   Vec3d colour = Vec3d::Zero();
   double uncovered = 1;
   for (size_t layer = 0; layer < kHills.size() && uncovered > 0; ++layer) {
     const uint32_t layer_seed = seed + 100 * static_cast<uint32_t>(layer + 1);
-    const double crest = 0.05 + 0.06 * static_cast<double>(layer) + 0.09 * Fractal(along, 0.6, 6, 0.5, blur, layer_seed);
+    const double crest =
+        0.05 + 0.06 * static_cast<double>(layer) + 0.09 * Fractal(along, 0.6, 6, 0.5, blur, layer_seed);
     const double cover = 1 - SmoothStep(crest - softness, crest + softness, height);
     if (cover <= 0) continue;
-    const double woods = Fractal(direction, 0.12, 5, 0.8, blur, layer_seed + 50);
-    colour += uncovered * cover * Shaded(kHills[layer], 0.5 * woods);
+    // Clumps of trees, crisp at several sizes.
+    const double woods = Fractal(direction, 0.09, 6, 0.85, blur, layer_seed + 50);
+    const double clumps = SmoothStep(-0.10, 0.05, woods) + SmoothStep(0.4, 0.5, woods) - 0.8;
+    colour += uncovered * cover * Shaded(kHills[layer], 0.45 * clumps);
     uncovered *= 1 - cover;
   }
   if (uncovered <= 0) return colour;
@@ -102,7 +106,8 @@ Vec3d PaintedChecks(const Vec3d& p, double footprint, uint32_t seed) {
   const uint32_t check = Hash(static_cast<int32_t>(std::floor(face.x() / kCheckSize)),
                               static_cast<int32_t>(std::floor(face.y() / kCheckSize)), 0, side);
   const double wear = Fractal(p, 0.3, 7, 0.75, footprint, seed + 100);
-  return Shaded(kPaints[check % kPaints.size()], 0.4 * wear + 0.2 * RandomChecks(face, kCheckSize / 4, footprint, side));
+  return Shaded(kPaints[check % kPaints.size()],
+                0.4 * wear + 0.2 * RandomChecks(face, kCheckSize / 4, footprint, side));
 }
 
 Vec3d Wood(const Vec3d& p, double footprint, uint32_t seed) {
@@ -188,9 +193,9 @@ World MakeStillLife(Finish finish, uint32_t seed) {
 }
 
 std::vector<Camera> MakeOrbit(int n_views, int width, int height, double focal_px, uint32_t seed) {
-  constexpr double kStep = 2 * kPi / 18;
+  constexpr double kFullCircle = 24;  // views
   const int n_low = (n_views + 1) / 2;
-  const double arc = std::min(2 * kPi, kStep * n_views);
+  const double arc = 2 * kPi * std::min(1.0, std::pow(n_views / kFullCircle, 1.5));
   std::vector<Camera> cameras;
   for (int i = 0; i < n_views; ++i) {
     // In [-1, 1], the k-th deviation of this view.
@@ -198,8 +203,8 @@ std::vector<Camera> MakeOrbit(int n_views, int width, int height, double focal_p
     const bool low = i < n_low;
     const double place = low ? i : i - n_low + 0.5;
     const double angle = arc / n_low * (place + 0.12 * deviation(0)) - 0.5 * kPi;
-    const double radius = (low ? 3.3 : 2.9) * (1 + 0.03 * deviation(1));
-    const Vec3d centre(radius * std::cos(angle), radius * std::sin(angle), (low ? 1.05 : 2.15) + 0.12 * deviation(2));
+    const double radius = (low ? 3.2 : 2.8) * (1 + 0.03 * deviation(1));
+    const Vec3d centre(radius * std::cos(angle), radius * std::sin(angle), (low ? 1.20 : 2.30) + 0.12 * deviation(2));
     const Vec3d target(0.06 * deviation(3), 0.06 * deviation(4), 0.36 + 0.05 * deviation(5));
     const double roll = 0.03 * deviation(6);
 
