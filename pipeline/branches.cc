@@ -1,0 +1,150 @@
+#include "pipeline/branches.h"
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+
+#include "pipeline/commands.h"
+#include "pipeline/error.h"
+#include "pipeline/files.h"
+
+namespace nrff {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr char kDefaultFolder[] = "work";
+
+std::string CheckStage(const std::string& text) {
+  const auto& names = StageNames();
+  if (std::find(names.begin(), names.end(), text) != names.end()) return {};
+  std::string all;
+  for (const std::string& name : names) all += (all.empty() ? "" : ", ") + name;
+  return "'" + text + "' is no stage; the stages are " + all;
+}
+
+Params GivenOptions(const BranchOptions& options) {
+  Params params;
+  const auto add = [&](const char* name, const std::string& value) {
+    if (!value.empty()) params[name] = value;
+  };
+  add("preset", options.preset);
+  add("steps", options.steps);
+  add("seed", options.seed);
+  add("device", options.device);
+  add("max-image-size", options.max_image_size);
+  if (!options.budget.empty()) {
+    const double seconds = ParseDuration(options.budget, "--budget");
+    add("budget-seconds", std::to_string(std::llround(seconds)));
+  }
+  return params;
+}
+
+std::string BranchName(const Workspace& workspace, std::set<std::string>& taken) {
+  const std::string name = EscapePath(fs::weakly_canonical(workspace.root()).filename());
+  std::string unique = name;
+  for (int n = 2; !taken.insert(unique).second; ++n) unique = name + "-" + std::to_string(n);
+  return unique;
+}
+
+// Folders are given with and without a slash at the end, which makes a difference to std::filesystem.
+fs::path Folder(const std::string& given) {
+  const fs::path path = fs::path(given).lexically_normal();
+  return path.has_filename() || !path.has_relative_path() ? path : path.parent_path();
+}
+
+}  // namespace
+
+void AddBranchOptions(CLI::App& command, BranchOptions& options) {
+  const auto add = [&](const char* names, std::string& value, const char* type, const char* text) {
+    return command.add_option(names, value, text)->type_name(type);
+  };
+  command.add_option("CAPTURE", options.targets, "Folder of photos, posed capture, or a workspace")
+      ->required()
+      ->type_name("");
+  add("--workspace,-w", options.workspace, "DIR", "Where everything goes (default: work/NAME)");
+  add("--preset", options.preset, "NAME", "Size of the model and length of the training");
+  add("--budget", options.budget, "TIME", "Train the best model in this time: 90s, 10m, 1h");
+  add("--steps", options.steps, "N", "Training steps")->check(CheckPositive);
+  add("--max-image-size", options.max_image_size, "PX", "Shrink photos whose longer side is larger")
+      ->check(CheckPositive);
+  add("--device", options.device, "NAME", "auto, cpu or cuda")->check(CheckDevice);
+  add("--threads", options.threads, "N", "Threads of one stage (default: all cores)")->check(CheckPositive);
+  add("--seed", options.seed, "N", "Of everything random")->check(CheckWhole);
+  add("--from", options.from, "STAGE", "Run this stage and what follows it again")->check(CheckStage);
+  add("--until", options.until, "STAGE", "Stop after this stage")->check(CheckStage);
+  command.add_flag("--force", options.force, "Run all stages again");
+}
+
+std::vector<BranchRequest> MakeBranches(const BranchOptions& options) {
+  const auto& names = StageNames();
+  const std::string from = options.force ? names.front() : options.from;
+  if (!from.empty() && !options.until.empty() &&
+      std::find(names.begin(), names.end(), from) > std::find(names.begin(), names.end(), options.until)) {
+    throw UsageError("--from " + from + " comes after --until " + options.until + ": nothing would run");
+  }
+  const Params given = GivenOptions(options);
+  const bool one = options.targets.size() == 1;
+  const fs::path folder = options.workspace.empty() ? fs::path(kDefaultFolder) : Folder(options.workspace);
+  if (!one && Workspace(folder).Exists()) {
+    throw UsageError(EscapePath(folder) + " is the workspace of one capture: give a folder that can hold several");
+  }
+
+  std::vector<BranchRequest> requests;
+  std::set<fs::path> captures, workspaces;
+  std::set<std::string> branches;
+  for (const std::string& target : options.targets) {
+    Workspace workspace(Folder(target));
+    BranchRequest request{"", workspace, {}, ExecutableFolder(), given, options.threads, from, options.until};
+    if (workspace.Exists()) {
+      if (!options.workspace.empty()) {
+        throw UsageError("--workspace cannot be given with " + target + ", which is a workspace");
+      }
+      Workspace::Marker marker = workspace.ReadMarker();
+      request.capture = marker.capture;
+      request.options.merge(marker.options);
+    } else {
+      request.capture = CapturePath(target);
+      const bool named = one && !options.workspace.empty();
+      request.workspace = named ? Workspace(folder) : WorkspaceFor(request.capture, folder, workspaces);
+    }
+    if (!captures.insert(request.capture).second) throw UsageError(EscapePath(request.capture) + " is given twice");
+    workspaces.insert(request.workspace.root());
+    request.name = BranchName(request.workspace, branches);
+    requests.push_back(std::move(request));
+  }
+  return requests;
+}
+
+Json ProbeCapture(Executor& executor, const BranchRequest& request) {
+  std::string output;
+  Job job;
+  job.command = {(request.executables / "nrff-ingest").string(), request.capture.string(), "--probe", "--quiet"};
+  job.on_line = [&](const std::string& line) {
+    if (line.compare(0, 9, "warning: ") != 0) output += line + "\n";
+  };
+  const JobResult result = RunJob(executor, std::move(job));
+  if (result.exit_code != 0) throw Error(static_cast<ExitCode>(result.exit_code), result.error);
+  Json facts = Json::parse(output, nullptr, /*allow_exceptions=*/false);
+  if (!facts.is_object()) throw ExternalToolError("nrff-ingest --probe answered with something that is not JSON");
+  return facts;
+}
+
+fs::path CommonFolder(const std::vector<Workspace>& workspaces) {
+  const auto folder = [](const Workspace& workspace) { return fs::absolute(workspace.root()).lexically_normal().parent_path(); };
+  for (const Workspace& workspace : workspaces) {
+    if (folder(workspace) == folder(workspaces.front())) continue;
+    throw UsageError(EscapePath(workspaces.front().root()) + " and " + EscapePath(workspace.root()) +
+                     " lie in different folders: workspaces that share a report have to lie in one");
+  }
+  const fs::path parent = workspaces.front().root().parent_path();
+  return parent.empty() ? fs::path(".") : parent;
+}
+
+BranchRequest BranchOf(const Workspace& workspace) {
+  std::set<std::string> none;
+  const Workspace::Marker marker = workspace.ReadMarker();
+  return {BranchName(workspace, none), workspace, marker.capture, ExecutableFolder(), marker.options, "", "", ""};
+}
+
+}  // namespace nrff

@@ -1,0 +1,37 @@
+// From what is given on the command line (captures, workspaces, options) to the branches of the graph.
+#pragma once
+
+#include <CLI/CLI.hpp>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "pipeline/executor.h"
+#include "pipeline/json.h"
+#include "pipeline/stages.h"
+
+namespace nrff {
+
+// The options of `nrff run` and `nrff plan` that say what is to be made.
+struct BranchOptions {
+  std::vector<std::string> targets;  // captures or workspaces
+  std::string workspace, budget, preset, steps, max_image_size, device, threads, seed, from, until;
+  bool force = false;
+};
+void AddBranchOptions(CLI::App& command, BranchOptions& options);
+
+// One request per target. A target that is a workspace stands for its capture with the options of its last run, where
+// none are given now. Nothing is written. Throws UsageError, InputError.
+std::vector<BranchRequest> MakeBranches(const BranchOptions& options);
+
+// What ingest says of a capture without making anything: {"kind", "posed", "n_images", …}. Throws Error with ingest's
+// own sentence and exit code.
+Json ProbeCapture(Executor& executor, const BranchRequest& request);
+
+// The folder that all these workspaces lie in. Throws UsageError when they lie in several.
+std::filesystem::path CommonFolder(const std::vector<Workspace>& workspaces);
+
+// A branch for what is already in a workspace, with the options of its last run.
+BranchRequest BranchOf(const Workspace& workspace);
+
+}  // namespace nrff

@@ -1,0 +1,171 @@
+// nrff run, nrff eval, nrff report: what makes artifacts.
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <iostream>
+
+#include "pipeline/commands.h"
+#include "pipeline/error.h"
+#include "pipeline/files.h"
+#include "pipeline/plan.h"
+#include "pipeline/report.h"
+#include "pipeline/run.h"
+
+namespace nrff {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr char kJointReport[] = "report/report.html";
+
+// The joint report over the branches that have a report of their own; its path, or empty when there are none.
+fs::path WriteJointReportOf(const std::vector<BranchResult>& results) {
+  std::vector<Workspace> workspaces;
+  for (const BranchResult& result : results) {
+    const BranchResult::Stage* report = result.Find("report");
+    if (report != nullptr && report->manifest) workspaces.push_back(result.request.workspace);
+  }
+  if (workspaces.empty()) return {};
+  std::vector<fs::path> roots;
+  for (const Workspace& workspace : workspaces) roots.push_back(workspace.root());
+  const fs::path folder = CommonFolder(workspaces);
+  WriteJointReport(folder, roots);
+  return folder / kJointReport;
+}
+
+void Run(const BranchOptions& branch, bool dry_run, const OutputOptions& output) {
+  const std::vector<BranchRequest> requests = MakeBranches(branch);
+  if (dry_run) return PlanAndPrint(requests, output.json);
+
+  std::vector<Workspace> workspaces;
+  for (const BranchRequest& request : requests) workspaces.push_back(request.workspace);
+  CommonFolder(workspaces);  // before hours are spent
+  const Machine machine = ThisMachine();
+  std::vector<WorkspaceLock> locks;
+  std::vector<Node> nodes;
+  for (const BranchRequest& request : requests) {
+    request.workspace.Claim(request.capture);
+    locks.emplace_back(request.workspace);
+    request.workspace.WriteMarker({request.capture, request.options});
+    nodes.push_back(FirstNode(request, machine));
+  }
+  const std::vector<BranchResult> results =
+      RunBranches(requests, std::move(nodes), machine, output.verbosity());
+  const fs::path joint_report = results.size() > 1 ? WriteJointReportOf(results) : fs::path();
+  if (output.json) {
+    Json captures = Json::array();
+    for (const BranchResult& result : results) captures.push_back(ResultToJson(result));
+    PrintJson({{"captures", captures},
+               {"joint_report", joint_report.empty() ? Json() : Json(EscapePath(joint_report))}});
+  } else if (!output.quiet) {
+    for (const BranchResult& result : results) PrintResult(result, std::cout);
+    if (!joint_report.empty()) std::cout << "all together: " << EscapePath(joint_report) << '\n';
+  }
+  ThrowIfFailed(results);
+}
+
+void PrintScores(const Json& metrics) {
+  size_t width = 4;
+  for (const Json& image : metrics.at("images")) width = std::max(width, image.at("name").get<std::string>().size());
+  const auto row = [&](const std::string& name, const Json& scores) {
+    std::cout << fmt::format("{:<{}}  {:6.2f}  {:.4f}\n", name, width, scores.at("psnr").get<double>(),
+                             scores.at("ssim").get<double>());
+  };
+  std::cout << fmt::format("{:<{}}  {:>6}  {:>6}\n", "view", width, "PSNR", "SSIM");
+  for (const Json& image : metrics.at("images")) row(image.at("name").get<std::string>(), image);
+  row("mean", metrics.at("metrics"));
+}
+
+void Eval(const std::string& path, const OutputOptions& output) {
+  const BranchRequest request = BranchOf(Workspace(path));
+  const WorkspaceLock lock(request.workspace);
+  const Manifest ingest = RequireArtifact(request.workspace.Artifact("ingest"), "ingest");
+  const bool posed = Get<bool>(ingest.facts, "posed", "ingest's manifest");
+  const Machine machine = ThisMachine();
+  ThrowIfFailed(RunBranches({request}, BranchToRunAgain(request, machine, posed, {"eval", "report"}), machine,
+                            output.verbosity()));
+  const fs::path metrics_path = request.workspace.Artifact("eval") / "metrics.json";
+  const Json metrics = ReadJson(metrics_path);
+  try {
+    if (output.json) {
+      PrintJson(metrics);
+    } else {
+      PrintScores(metrics);
+    }
+  } catch (const Json::exception& error) {
+    throw CorruptError(EscapePath(metrics_path) + " is not as eval writes it: " + error.what());
+  }
+}
+
+void Report(const std::vector<std::string>& paths) {
+  std::vector<Workspace> workspaces;
+  for (const std::string& path : paths) {
+    for (Workspace& workspace : FindWorkspaces(path)) workspaces.push_back(std::move(workspace));
+  }
+  const fs::path folder = CommonFolder(workspaces);
+  std::vector<fs::path> roots;
+  for (const Workspace& workspace : workspaces) {
+    const WorkspaceLock lock(workspace);
+    WriteReport(workspace.root());
+    roots.push_back(workspace.root());
+    std::cout << EscapePath(workspace.Report()) << '\n';
+  }
+  if (roots.size() == 1) return;
+  WriteJointReport(folder, roots);
+  std::cout << EscapePath(folder / kJointReport) << '\n';
+}
+
+}  // namespace
+
+Command AddRunCommand(CLI::App& app) {
+  struct Options {
+    BranchOptions branch;
+    OutputOptions output;
+    bool dry_run = false;
+  };
+  auto options = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand("run", "Photos to a model and a scored report");
+  AddBranchOptions(*command, options->branch);
+  command->add_flag("--dry-run", options->dry_run, "Say what would run, as `nrff plan`");
+  AddVerbosityOptions(*command, options->output);
+  AddJsonOption(*command, options->output);
+  command->footer(
+      "Several captures share one run and a joint report; one that fails does not stop\n"
+      "the others. Killed at any moment, the same command goes on from what is complete.\n"
+      "Example: nrff run photos/ --budget 10m");
+  return {command, [options] { Run(options->branch, options->dry_run, options->output); }};
+}
+
+Command AddEvalCommand(CLI::App& app) {
+  struct Options {
+    std::string workspace;
+    OutputOptions output;
+  };
+  auto options = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand("eval", "The scores again, from the files");
+  command->add_option("WORKSPACE", options->workspace, "Made by `nrff run`")->required()->type_name("");
+  AddVerbosityOptions(*command, options->output);
+  AddJsonOption(*command, options->output);
+  command->footer("Example: nrff eval work/photos");
+  return {command, [options] { Eval(options->workspace, options->output); }};
+}
+
+Command AddReportCommand(CLI::App& app) {
+  struct Options {
+    std::vector<std::string> workspaces;
+    OutputOptions output;
+  };
+  auto options = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand("report", "The report again; a joint one for several workspaces");
+  command->add_option("WORKSPACE", options->workspaces, "Made by `nrff run`, or a folder of such")
+      ->required()
+      ->type_name("");
+  AddVerbosityOptions(*command, options->output);
+  command->footer("Example: nrff report work/castle work/fox");
+  return {command, [options] {
+            SetVerbosity(options->output.verbosity());
+            Report(options->workspaces);
+          }};
+}
+
+}  // namespace nrff

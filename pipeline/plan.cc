@@ -1,0 +1,147 @@
+#include "pipeline/plan.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <iostream>
+
+#include "pipeline/commands.h"
+#include "pipeline/console.h"
+#include "pipeline/error.h"
+#include "pipeline/files.h"
+#include "pipeline/local_executor.h"
+
+namespace nrff {
+namespace {
+
+void AddDecision(std::vector<Decision>& decisions, const Decision& decision) {
+  const auto known = std::find_if(decisions.begin(), decisions.end(),
+                                  [&](const Decision& other) { return other.feature == decision.feature; });
+  if (known == decisions.end()) {
+    decisions.push_back(decision);
+  } else {
+    *known = decision;
+  }
+}
+
+// What follows from the capture alone, and, of stages that are done, what they decided.
+std::vector<Decision> KnownDecisions(Graph& graph, const BranchPlan& plan) {
+  std::vector<Decision> decisions = {needs::Sfm(plan.facts.value("posed", false), plan.facts.value("kind", "capture"))};
+  if (plan.facts.value("has_alpha", false)) decisions.push_back(needs::Contraction(false, true, {}));
+  decisions.push_back(needs::Lpips(""));
+  for (size_t i = 0; i < plan.nodes.size(); ++i) {
+    if (plan.verdicts[i].state != Verdict::kFresh) continue;
+    for (const Decision& decision : graph.Artifact(plan.nodes[i]).manifest->decisions) AddDecision(decisions, decision);
+  }
+  return decisions;
+}
+
+const char* StateText(Verdict::State state) {
+  switch (state) {
+    case Verdict::kFresh: return "reuse";
+    case Verdict::kStale: return "run";
+    case Verdict::kUndecided: return "decide";
+  }
+  return "";
+}
+
+}  // namespace
+
+BranchPlan PlanBranch(const BranchRequest& request, Executor& executor) {
+  BranchPlan plan{request};
+  try {
+    RealDisk disk;
+    Graph graph(disk, Version());
+    graph.Add(FirstNode(request, ThisMachine()));
+    plan.verdicts = graph.Plan([&](const Node&) {
+      plan.facts = ProbeCapture(executor, request);
+      return plan.facts;
+    });
+    plan.nodes.assign(graph.nodes().begin(), graph.nodes().end());
+    if (plan.facts.empty()) plan.facts = graph.Artifact(plan.nodes.front()).manifest->facts;
+    plan.decisions = KnownDecisions(graph, plan);
+  } catch (const Error& error) {
+    plan.exit_code = static_cast<int>(error.code());
+    plan.error = error.what();
+  }
+  return plan;
+}
+
+void PrintPlans(const std::vector<BranchPlan>& plans, std::ostream& out) {
+  for (const BranchPlan& plan : plans) {
+    out << plan.request.name << ": " << EscapePath(plan.request.capture) << " → "
+        << EscapePath(plan.request.workspace.root()) << '\n';
+    if (!plan.error.empty()) {
+      out << "  cannot be planned: " << plan.error << '\n';
+      continue;
+    }
+    out << fmt::format("  {}: {} images, {} to train, {} held out ({})\n", plan.facts.value("kind", "capture"),
+                       plan.facts.value("n_images", 0), plan.facts.value("n_train", 0), plan.facts.value("n_test", 0),
+                       plan.facts.value("split_rule", ""));
+    for (size_t i = 0; i < plan.nodes.size(); ++i) {
+      const Verdict& verdict = plan.verdicts[i];
+      out << fmt::format("  {:<7}{:<8}{}\n", StateText(verdict.state), plan.nodes[i].stage, verdict.reason);
+    }
+    for (const Decision& decision : plan.decisions) {
+      if (!decision.needed) out << "  " << DecisionText(decision) << '\n';
+    }
+  }
+}
+
+Json PlansToJson(const std::vector<BranchPlan>& plans) {
+  Json captures = Json::array();
+  for (const BranchPlan& plan : plans) {
+    Json nodes = Json::array();
+    for (size_t i = 0; i < plan.nodes.size(); ++i) {
+      const Node& node = plan.nodes[i];
+      Json command = Json::array();
+      for (const std::string& argument : node.command) command.push_back(EscapePath(argument));
+      nodes.push_back({{"stage", node.stage},
+                       {"state", StateText(plan.verdicts[i].state)},
+                       {"reason", plan.verdicts[i].reason},
+                       {"inputs", node.inputs},
+                       {"command", command}});
+    }
+    Json capture = {{"name", plan.request.name},
+                    {"capture", EscapePath(plan.request.capture)},
+                    {"workspace", EscapePath(plan.request.workspace.root())},
+                    {"facts", plan.facts},
+                    {"nodes", nodes},
+                    {"decisions", plan.decisions}};
+    if (!plan.error.empty()) capture["error"] = plan.error;
+    captures.push_back(std::move(capture));
+  }
+  return {{"captures", captures}};
+}
+
+void PlanAndPrint(const std::vector<BranchRequest>& requests, bool json) {
+  LocalExecutor executor;
+  std::vector<BranchPlan> plans;
+  for (const BranchRequest& request : requests) {
+    plans.push_back(PlanBranch(request, executor));
+    if (executor.StopSignal() != 0) throw Error(static_cast<ExitCode>(128 + executor.StopSignal()), "was stopped");
+  }
+  if (json) {
+    PrintJson(PlansToJson(plans));
+  } else {
+    PrintPlans(plans, std::cout);
+  }
+  for (const BranchPlan& plan : plans) {
+    if (!plan.error.empty()) throw Error(static_cast<ExitCode>(plan.exit_code), plan.request.name + ": " + plan.error);
+  }
+}
+
+Command AddPlanCommand(CLI::App& app) {
+  struct Options {
+    BranchOptions branch;
+    OutputOptions output;
+  };
+  auto options = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand("plan", "What a run would do, and why");
+  AddBranchOptions(*command, options->branch);
+  AddJsonOption(*command, options->output);
+  command->footer("Example: nrff plan photos/ --preset small");
+  return {command, [options] { PlanAndPrint(MakeBranches(options->branch), options->output.json); }};
+}
+
+}  // namespace nrff

@@ -1,0 +1,38 @@
+// Runs the branches of several captures as one graph and says what came of them.
+#pragma once
+
+#include <ostream>
+#include <vector>
+
+#include "pipeline/branches.h"
+#include "pipeline/console.h"
+#include "pipeline/local_executor.h"
+
+namespace nrff {
+
+struct BranchResult {
+  BranchRequest request;
+  struct Stage {
+    Node node;
+    Outcome outcome;
+    std::optional<Manifest> manifest;  // when the artifact can be used
+  };
+  std::vector<Stage> stages;
+
+  const Stage* Find(const std::string& stage) const;
+  const Stage* FirstFailed() const;  // nullptr: none
+};
+
+// Runs the graph of these nodes; what happens is shown on stderr and recorded in the workspaces. Throws Error with exit code
+// 128 + n when signal n stopped the run.
+std::vector<BranchResult> RunBranches(const std::vector<BranchRequest>& requests, std::vector<Node> nodes,
+                                      const Machine& machine, Verbosity verbosity);
+
+// Throws the first failed branch's error, with its exit code.
+void ThrowIfFailed(const std::vector<BranchResult>& results);
+
+// Registered images, scores, seconds per stage and where the report is.
+void PrintResult(const BranchResult& result, std::ostream& out);
+Json ResultToJson(const BranchResult& result);
+
+}  // namespace nrff

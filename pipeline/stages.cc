@@ -1,0 +1,148 @@
+#include "pipeline/stages.h"
+
+#include <algorithm>
+#include <array>
+
+#include "pipeline/error.h"
+#include "pipeline/files.h"
+
+namespace nrff {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr uint64_t kMebibyte = uint64_t(1) << 20;
+
+struct Argument {
+  std::string option;  // empty: positional
+  std::string input;   // the stage whose artifact is its value
+};
+
+struct Stage {
+  std::string name;
+  std::string program, sub_command;
+  std::vector<Argument> reads;      // artifacts, in the order of the command line
+  std::vector<std::string> params;  // options that change its result
+  bool takes_threads = false;       // and keeps all cores busy
+  uint64_t memory_bytes = 0;        // guess for a capture of ordinary size
+};
+
+const std::vector<Stage>& Table() {
+  static const std::vector<Stage> table = {
+      {"ingest", "nrff-ingest", "", {}, {}, false, 512 * kMebibyte},
+      {"sfm", "nrff-pose", "estimate", {{"--ingest", "ingest"}}, {"seed"}, true, 2048 * kMebibyte},
+      {"pose",
+       "nrff-pose",
+       "normalise",
+       {{"--ingest", "ingest"}, {"--sfm", "sfm"}},
+       {"max-image-size"},
+       false,
+       1024 * kMebibyte},
+      {"train",
+       "nrff-train",
+       "",
+       {{"--scene", "pose"}},
+       {"preset", "steps", "budget-seconds", "seed", "device"},
+       true,
+       2048 * kMebibyte},
+      {"render", "nrff-render", "", {{"--scene", "pose"}, {"--model", "train"}}, {"device"}, true, 1024 * kMebibyte},
+      {"eval", "nrff-eval", "", {{"--scene", "pose"}, {"--renders", "render"}}, {}, false, 512 * kMebibyte},
+      {"report", "nrff", "report", {}, {}, false, 256 * kMebibyte},
+  };
+  return table;
+}
+
+// The report reads whatever was made before it.
+constexpr std::string_view kReport = "report";
+
+int OrderOf(const std::string& stage) {
+  const auto& names = StageNames();
+  return static_cast<int>(std::find(names.begin(), names.end(), stage) - names.begin());
+}
+
+Node MakeNode(const Stage& stage, const BranchRequest& request, const Machine& machine, bool posed) {
+  Node node;
+  node.branch = request.name;
+  node.stage = stage.name;
+  node.artifact = request.workspace.Artifact(stage.name);
+  node.log = request.workspace.Log(stage.name);
+  node.cores = stage.takes_threads ? machine.cores : 1;
+  node.memory_bytes = stage.memory_bytes;
+  if (!request.from.empty() && OrderOf(stage.name) >= OrderOf(request.from)) node.when = When::kAlways;
+
+  node.command = {(request.executables / stage.program).string()};
+  if (!stage.sub_command.empty()) node.command.push_back(stage.sub_command);
+  if (stage.name == kReport) {
+    node.command.push_back(request.workspace.root().string());
+    for (const std::string& before : StageNames()) {
+      if (before != kReport && !(posed && before == "sfm")) node.inputs.push_back(request.name + "/" + before);
+    }
+  } else {
+    if (stage.name == "ingest") {
+      node.source = request.capture;
+      node.command.push_back(request.capture.string());
+    }
+    for (const Argument& argument : stage.reads) {
+      if (posed && argument.input == "sfm") continue;
+      node.inputs.push_back(request.name + "/" + argument.input);
+      node.command.insert(node.command.end(), {argument.option, request.workspace.Artifact(argument.input).string()});
+    }
+    node.command.insert(node.command.end(), {"--out", node.artifact.string()});
+  }
+  for (const std::string& name : stage.params) {
+    const auto given = request.options.find(name);
+    if (given == request.options.end()) continue;
+    node.params.insert(*given);
+    node.command.insert(node.command.end(), {"--" + name, given->second});
+  }
+  if (stage.takes_threads && !request.threads.empty()) {
+    node.command.insert(node.command.end(), {"--threads", request.threads});
+    node.cores = std::min(machine.cores, std::stoi(request.threads));
+  }
+  node.command.emplace_back("--verbose");  // the log keeps all; what is shown is chosen from it
+  return node;
+}
+
+std::vector<Node> NodesAfterIngest(const BranchRequest& request, const Machine& machine, bool posed) {
+  std::vector<Node> nodes;
+  const int last = request.until.empty() ? OrderOf(std::string(kReport)) : OrderOf(request.until);
+  for (const Stage& stage : Table()) {
+    if (stage.name == "ingest" || (posed && stage.name == "sfm") || OrderOf(stage.name) > last) continue;
+    nodes.push_back(MakeNode(stage, request, machine, posed));
+  }
+  return nodes;
+}
+
+}  // namespace
+
+const std::vector<std::string>& StageNames() {
+  static const std::vector<std::string> names = [] {
+    std::vector<std::string> all;
+    for (const Stage& stage : Table()) all.push_back(stage.name);
+    return all;
+  }();
+  return names;
+}
+
+Node FirstNode(const BranchRequest& request, const Machine& machine) {
+  Node ingest = MakeNode(Table().front(), request, machine, /*posed=*/false);
+  ingest.expand = [request, machine](const Json& facts) {
+    return NodesAfterIngest(request, machine, Get<bool>(facts, "posed", "what ingest says of " + request.name));
+  };
+  return ingest;
+}
+
+std::vector<Node> BranchToRunAgain(const BranchRequest& request, const Machine& machine, bool posed,
+                                   const std::vector<std::string>& stages) {
+  std::vector<Node> nodes = NodesAfterIngest(request, machine, posed);
+  nodes.insert(nodes.begin(), MakeNode(Table().front(), request, machine, posed));
+  for (Node& node : nodes) {
+    const bool again = std::find(stages.begin(), stages.end(), node.stage) != stages.end();
+    node.when = again ? When::kAlways : When::kNever;
+  }
+  return nodes;
+}
+
+fs::path ExecutableFolder() { return fs::canonical("/proc/self/exe").parent_path(); }
+
+}  // namespace nrff

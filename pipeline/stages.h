@@ -1,0 +1,41 @@
+// The stages: their order, their command lines, which options go to which, and what they need of the machine.
+// A capture's branch of the graph is made here.
+#pragma once
+
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "pipeline/graph.h"
+#include "pipeline/scheduler.h"
+#include "pipeline/workspace.h"
+
+namespace nrff {
+
+// In the order of the pipeline.
+const std::vector<std::string>& StageNames();
+
+struct BranchRequest {
+  std::string name;  // of the branch
+  Workspace workspace;
+  std::filesystem::path capture;      // absolute
+  std::filesystem::path executables;  // the folder of the stages' programs
+  Params options;       // that change results, as given: preset, steps, budget-seconds, seed, device, max-image-size
+  std::string threads;  // as given, or empty
+  std::string from;     // this stage and what follows it runs again; empty: nothing for that reason
+  std::string until;    // the last stage; empty: all
+};
+
+// The first node of the branch. It expands into the rest once the capture is known to bring its poses or not.
+Node FirstNode(const BranchRequest& request, const Machine& machine);
+
+// The branch of an ended pipeline: `stages` run whatever they are, those before them are taken as they are. `posed`: what
+// ingest found.
+std::vector<Node> BranchToRunAgain(const BranchRequest& request, const Machine& machine, bool posed,
+                                   const std::vector<std::string>& stages);
+
+// Where the program that is running lies.
+std::filesystem::path ExecutableFolder();
+
+}  // namespace nrff
