@@ -1,0 +1,92 @@
+#include "pipeline/report.h"
+
+#include <string>
+
+#include "pipeline/error.h"
+#include "pipeline/files.h"
+#include "pipeline/json.h"
+#include "pipeline/manifest.h"
+#include "pipeline/report_content.h"
+#include "pipeline/report_page.h"
+#include "pipeline/report_summary.h"
+
+namespace nrff {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr int kJointSummarySchemaVersion = 1;
+
+// What the page says in detail about every stage, by name.
+Json Facts(const WorkspaceState& state) {
+  Json facts = Json::object();
+  for (const StageState& stage : state.stages) facts[stage.name] = state.Facts(stage.name);
+  return facts;
+}
+
+// A part of the page that damaged files leave out: null, with the reason among the summary's warnings.
+template <typename Make>
+Json PartOrWarning(Json& summary, const Make& make) {
+  try {
+    return make();
+  } catch (const Error& error) {
+    summary["warnings"].push_back({{"kind", "damaged files"}, {"text", error.what()}, {"items", Json::array()}});
+    return nullptr;
+  }
+}
+
+// One capture as a row of the joint report.
+Json Row(const fs::path& folder, const fs::path& workspace) {
+  const WorkspaceState state = ReadWorkspace(workspace);
+  const Json summary = Summarise(state);
+  const std::string place = EscapePath(fs::proximate(state.root, folder));
+  return {{"workspace", place},
+          {"report", fs::exists(state.root / "report" / "report.html") ? Json(place + "/report/report.html") : Json()},
+          {"name", summary["name"]},
+          {"status", summary["status"]},
+          {"failure", summary["failure"]},
+          {"metrics", summary["metrics"]},
+          {"split", summary["split"]},
+          {"training_seconds", summary["training"]["seconds"]},
+          {"total_seconds", summary["total_seconds"]},
+          {"model_bytes", summary["training"]["model_bytes"]},
+          {"device", summary["training"]["device"]}};
+}
+
+}  // namespace
+
+void WriteReport(const fs::path& workspace) {
+  const WorkspaceState state = ReadWorkspace(workspace);
+  std::vector<HashedPath> inputs;
+  for (const StageState& stage : state.stages) {
+    if (stage.manifest) inputs.push_back(ArtifactInput(state.root / stage.name, *stage.manifest));
+  }
+  ArtifactWriter artifact("report", state.root / "report", {}, inputs);
+  Json summary = Summarise(state);
+  const Json pictures = PartOrWarning(summary, [&] { return Pictures(state, summary["images"]); });
+  const Json geometry = PartOrWarning(summary, [&] { return Geometry(state); });
+  WriteJson(artifact.dir() / "summary.json", summary);
+  WriteFileAtomically(artifact.dir() / "report.html",
+                      FillPage("report.html", state.name,
+                               {{"summary", summary}, {"facts", Facts(state)}, {"pictures", pictures}, {"geometry", geometry}}));
+  artifact.AddOutput("summary.json");
+  artifact.AddOutput("report.html");
+  artifact.facts() = {{"status", summary["status"]}, {"failure", summary["failure"]}};
+  artifact.Commit();
+}
+
+void WriteJointReport(const fs::path& folder, const std::vector<fs::path>& workspaces) {
+  const fs::path root = fs::absolute(folder);
+  Json captures = Json::array();
+  for (const fs::path& workspace : workspaces) captures.push_back(Row(root, workspace));
+  const Json summary = {{"schema_version", kJointSummarySchemaVersion}, {"captures", captures}};
+  const fs::path out = root / "report";
+  std::error_code error;
+  fs::create_directories(out, error);
+  if (error) throw ResourceError("Folder " + EscapePath(out) + " cannot be made (" + error.message() + ").");
+  WriteJson(out / "summary.json", summary);
+  WriteFileAtomically(out / "report.html",
+                      FillPage("joint.html", std::to_string(workspaces.size()) + " captures", summary));
+}
+
+}  // namespace nrff

@@ -1,0 +1,168 @@
+#include "pipeline/report_content.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <cstring>
+#include <numeric>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "pipeline/error.h"
+#include "pipeline/files.h"
+#include "pipeline/report_page.h"
+#include "pipeline/scene.h"
+
+namespace nrff {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr size_t kMaxPoints = 30000;  // a canvas turns this many smoothly
+
+struct ViewFiles {
+  fs::path truth, rendered, error, depth, normal;
+
+  size_t Bytes() const {
+    size_t bytes = 0;
+    for (const fs::path* file : {&truth, &rendered, &error, &depth, &normal}) {
+      std::error_code none;
+      const auto size = fs::file_size(*file, none);
+      if (!none) bytes += size;
+    }
+    return bytes;
+  }
+};
+
+ViewFiles FilesOf(const WorkspaceState& state, const Json& image) {
+  const auto path = [&](const char* key) {
+    return state.root / UnescapePath(Get<std::string>(image, key, "the summary's images"));
+  };
+  ViewFiles files{path("truth"), path("rendered"), path("error"), {}, {}};
+  const fs::path layers = files.rendered.parent_path().parent_path();
+  files.depth = layers / "depth" / files.rendered.filename();
+  files.normal = layers / "normal" / files.rendered.filename();
+  return files;
+}
+
+Json PngDataUri(const fs::path& file) {
+  try {
+    return "data:image/png;base64," + Base64(ReadFile(file));
+  } catch (const Error&) {
+    return nullptr;
+  }
+}
+
+// Image indices from the lowest PSNR to the highest; a view identical to its photo (null) is best.
+std::vector<size_t> ByPsnr(const Json& images) {
+  std::vector<size_t> order(images.size());
+  std::iota(order.begin(), order.end(), 0);
+  const auto psnr = [&](size_t i) {
+    const Json& value = At(images[i], "psnr");
+    return value.is_number() ? value.get<double>() : HUGE_VAL;
+  };
+  std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) { return psnr(a) < psnr(b); });
+  return order;
+}
+
+bool FitsWhole(const Json& images, const std::vector<ViewFiles>& files) {
+  size_t bytes = 0;
+  int side = 0;
+  for (size_t i = 0; i < files.size(); ++i) {
+    bytes += files[i].Bytes();
+    for (const char* key : {"width", "height"}) side = std::max(side, Get<int>(images[i], key, "the summary's images"));
+  }
+  return files.size() <= kMaxPictureViews && side <= kMaxPictureSidePx && bytes <= kMaxPictureBytes;
+}
+
+struct PointCloud {
+  std::vector<float> positions;  // [n, 3]
+  std::vector<uint8_t> colors;   // [n, 3]
+  size_t n_total = 0;            // before thinning
+};
+
+// Of the pose stage's points.ply (binary little endian; float x y z, uchar red green blue), every k-th.
+PointCloud ReadPoints(const fs::path& file) {
+  static_assert(std::endian::native == std::endian::little);
+  constexpr size_t kStride = 3 * sizeof(float) + 3;
+  const std::string bytes = ReadFile(file);
+  const auto damaged = [&](const std::string& what) {
+    return CorruptError("Points " + EscapePath(file) + " " + what + "; run the pose stage again.");
+  };
+  constexpr std::string_view kElement = "element vertex ", kEnd = "end_header\n";
+  const size_t element = bytes.find(kElement), end = bytes.find(kEnd);
+  if (element == std::string::npos || end == std::string::npos || element > end) throw damaged("have no PLY header");
+  PointCloud cloud;
+  cloud.n_total = std::strtoull(bytes.c_str() + element + kElement.size(), nullptr, 10);
+  const size_t start = end + kEnd.size();
+  if (cloud.n_total > (bytes.size() - start) / kStride) throw damaged("are cut short");
+  const size_t step = std::max<size_t>(1, (cloud.n_total + kMaxPoints - 1) / kMaxPoints);
+  for (size_t i = 0; i < cloud.n_total; i += step) {
+    const char* point = bytes.data() + start + i * kStride;
+    float position[3];
+    std::memcpy(position, point, sizeof position);
+    if (!std::all_of(position, position + 3, [](float v) { return std::isfinite(v); })) continue;
+    cloud.positions.insert(cloud.positions.end(), position, position + 3);
+    cloud.colors.insert(cloud.colors.end(), point + sizeof position, point + kStride);
+  }
+  return cloud;
+}
+
+}  // namespace
+
+Json Pictures(const WorkspaceState& state, const Json& images) {
+  std::vector<ViewFiles> files;
+  for (const Json& image : images) files.push_back(FilesOf(state, image));
+  std::vector<size_t> shown(images.size());
+  std::iota(shown.begin(), shown.end(), 0);
+  std::string note;
+  if (!FitsWhole(images, files) && images.size() > 3) {
+    const std::vector<size_t> order = ByPsnr(images);
+    shown = {order.front(), order[order.size() / 2], order.back()};
+    note = fmt::format("Pictures of 3 of {} views, to keep this page small: the worst, the median and the best by "
+                       "PSNR. The table has the figures of all; their pictures are in the workspace's render and eval "
+                       "folders.",
+                       images.size());
+  }
+  Json views = Json::array();
+  for (size_t i : shown) {
+    views.push_back({{"image", i},
+                     {"truth", PngDataUri(files[i].truth)},
+                     {"rendered", PngDataUri(files[i].rendered)},
+                     {"error", PngDataUri(files[i].error)},
+                     {"depth", PngDataUri(files[i].depth)},
+                     {"normal", PngDataUri(files[i].normal)}});
+  }
+  return {{"views", views}, {"note", note}};
+}
+
+Json Geometry(const WorkspaceState& state) {
+  if (!state.Stage("pose").manifest) return nullptr;
+  const fs::path dir = state.root / "pose";
+  const Scene scene = LoadScene(dir);
+  Json cameras = Json::array();
+  for (const View& view : scene.views) {
+    cameras.push_back({{"name", view.name},
+                       {"split", view.split == Split::kTrain ? "train" : "test"},
+                       {"scene_from_camera", view.scene_from_camera},
+                       {"slope_x", 0.5 * view.width / view.fx},
+                       {"slope_y", 0.5 * view.height / view.fy}});
+  }
+  Json points;
+  if (fs::exists(dir / "points.ply")) {
+    const PointCloud cloud = ReadPoints(dir / "points.ply");
+    const auto as_bytes = [](const auto& values) {
+      return std::string_view(reinterpret_cast<const char*>(values.data()), values.size() * sizeof values[0]);
+    };
+    points = {{"n", cloud.positions.size() / 3},
+              {"n_total", cloud.n_total},
+              {"positions", Base64(as_bytes(cloud.positions))},
+              {"colors", Base64(as_bytes(cloud.colors))}};
+  }
+  return {{"points", points}, {"cameras", cameras}};
+}
+
+}  // namespace nrff

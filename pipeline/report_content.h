@@ -1,0 +1,24 @@
+// The heavy parts of a report's page: pictures as data URIs, sparse points and cameras.
+#pragma once
+
+#include "pipeline/json.h"
+#include "pipeline/report_summary.h"
+
+namespace nrff {
+
+// Pictures are embedded as they are on disk. Up to kMaxPictureViews views of at most kMaxPictureSidePx and
+// kMaxPictureBytes together are shown; of more, larger or heavier ones the worst, the median and the best by PSNR.
+inline constexpr size_t kMaxPictureViews = 24;
+inline constexpr int kMaxPictureSidePx = 1000;
+inline constexpr size_t kMaxPictureBytes = size_t(64) << 20;
+
+// {views: [{image: index into `images`, truth, rendered, error, depth, normal: data URI or null}], note}. `images` are
+// the summary's. `note` says which views are shown when not all are; else it is empty.
+Json Pictures(const WorkspaceState& state, const Json& images);
+
+// {points: {n, n_total, positions: Base64 of float32 x y z, colors: Base64 of uint8 r g b} | null,
+//  cameras: [{name, split, scene_from_camera [16], slope_x, slope_y}]}: positions in scene units; slopes are half the
+// field of view's tangents. Null when the pose stage has not run. Throws CorruptError when its files are damaged.
+Json Geometry(const WorkspaceState& state);
+
+}  // namespace nrff
