@@ -36,6 +36,9 @@ NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(TrainConfig, steps, rays, max_rays, target_sh
                                    weight_threshold_last, weight_threshold_moment, render_weight_threshold,
                                    unknown_background)
 
+Json ToJson(const FieldConfig& config) { return config; }
+Json ToJson(const TrainConfig& config) { return config; }
+
 FieldConfig FieldConfigFromJson(const Json& json, const std::string& where) {
   try {
     const auto config = json.get<FieldConfig>();

@@ -79,8 +79,8 @@ struct TrainConfig {
   double unknown_background = 0.5;  // grey level behind everything where the scene names none
 };
 
-void to_json(Json& json, const FieldConfig& config);
-void to_json(Json& json, const TrainConfig& config);
+Json ToJson(const FieldConfig& config);
+Json ToJson(const TrainConfig& config);
 // Throws CorruptError naming `where` and the key on a missing key, a wrong type or an impossible value.
 FieldConfig FieldConfigFromJson(const Json& json, const std::string& where);
 

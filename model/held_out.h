@@ -1,0 +1,36 @@
+// How well a model shows views it was not trained on, measured while it trains. Nothing is decided by it.
+#pragma once
+
+#include <torch/types.h>
+
+#include <string>
+#include <vector>
+
+#include "model/ray_batch.h"
+#include "pipeline/scene.h"
+#include "render/occupancy_grid.h"
+#include "render/radiance_field.h"
+
+namespace nrff {
+
+// PSNR over a fixed lattice of pixels of up to eight held-out views, spread over their order: the mean over the views of
+// each view's PSNR, in dB, not quantised.
+class HeldOutViews {
+ public:
+  static constexpr int kMostViews = 8;
+  static constexpr int kMostPixels = 4096;  // of each view
+
+  // Reads the pixels at once.
+  HeldOutViews(const Scene& scene, const ImagePack& pack, double background);
+
+  bool empty() const { return batches_.empty(); }
+  double Psnr(const RadianceField& field, const OccupancyGrid& occupancy, const SceneMap& map,
+              const RenderOptions& options) const;
+  // For facts.curve_protocol.
+  std::string Protocol() const;
+
+ private:
+  std::vector<PixelSource::Batch> batches_;  // one per view
+};
+
+}  // namespace nrff

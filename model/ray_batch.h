@@ -1,0 +1,43 @@
+// Batches of rays through random pixels, with the colours they should have.
+#pragma once
+
+#include <torch/types.h>
+
+#include <cstdint>
+#include <vector>
+
+#include "pipeline/scene.h"
+#include "render/volume_renderer.h"
+
+namespace nrff {
+
+// Grey level that pixels are composited onto and that lies behind everything.
+double BackgroundLevel(const Scene& scene, double unknown_background);
+
+// The pixels of some views. Keeps references to both arguments.
+class PixelSource {
+ public:
+  // Throws InputError when there is no pixel.
+  PixelSource(std::vector<View> views, const ImagePack& pack, double background);
+
+  struct Batch {
+    Rays rays;
+    torch::Tensor target;  // [n, 3] in [0, 1]
+  };
+
+  // n pixels, uniform over all pixels of all views, from the stream (seed, kBatch at step).
+  Batch Draw(int64_t n, uint64_t seed, uint64_t step) const;
+
+  // pixels [n, 3] int32: (view, ix, iy).
+  Batch At(const torch::Tensor& pixels) const;
+
+  const std::vector<View>& views() const { return views_; }
+
+ private:
+  std::vector<View> views_;
+  const ImagePack& pack_;
+  double background_;
+  std::vector<uint64_t> pixels_before_;  // [n_views + 1]
+};
+
+}  // namespace nrff

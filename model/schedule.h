@@ -1,0 +1,27 @@
+// What changes over a training, as functions of how far it has come.
+#pragma once
+
+#include "model/config.h"
+#include "render/scene_map.h"
+
+namespace nrff {
+
+// `progress` runs from 0 to 1.
+
+// Factor on the learning rates; they last started anew at `progress_at_reset`.
+double RateFactor(const TrainConfig& config, double progress, double progress_at_reset);
+
+// Index into config.step_voxels.
+int StepStage(const TrainConfig& config, double progress);
+
+// Marching step of a stage: RenderOptions::step.
+double MarchingStep(const TrainConfig& config, int stage, const SceneMap& map);
+
+// RenderOptions::weight_threshold.
+double WeightThreshold(const TrainConfig& config, double progress);
+
+// Moments of the held-out curve: `n` fractions of the training, log-spaced up to 1.
+double CurveMoment(int index);
+inline constexpr int kCurvePoints = 10;
+
+}  // namespace nrff

@@ -1,0 +1,50 @@
+// Everything that changes while a model is trained: what a checkpoint holds, and nothing else.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "model/nrff_field.h"
+#include "render/occupancy_grid.h"
+#include "render/scene_map.h"
+
+namespace nrff {
+
+// One measurement of the model on held-out views.
+struct CurvePoint {
+  double seconds = 0;  // of training, without evaluating
+  int64_t steps = 0, samples = 0;
+  double psnr = 0;        // held-out views, dB
+  double train_psnr = 0;  // of the batches of late, dB
+};
+
+struct TrainState {
+  TrainState(const FieldConfig& field_config, int occupancy_resolution, const SceneMap& scene_map, uint64_t seed);
+
+  NrffField field;
+  std::vector<torch::Tensor> adam_m, adam_v;  // as field.parameters()
+  int64_t adam_t = 0;                         // steps since the moments were last zero
+  OccupancyGrid occupancy;
+  SceneMap map;
+
+  int64_t step = 0;     // also the counter of every random stream
+  int64_t n_rays = 0;   // of the next batch
+  int64_t samples = 0;  // density evaluations so far
+  double seconds = 0;   // spent in steps
+  double progress_at_reset = 0;  // when the learning rates last started anew
+  int step_stage = 0;            // index into TrainConfig::step_voxels
+  int occupancy_updates = 0;
+  bool shrunk = false;
+  int64_t n_skipped = 0;     // steps left out for a non-finite loss or gradient
+  int n_skipped_in_row = 0;
+  double train_mse = -1;     // running mean; < 0: none yet
+  int evaluations = 0;       // moments of the curve that are behind
+  std::vector<CurvePoint> curve;
+  double seconds_evaluating = 0;
+  int resumed = 0;           // times training went on from a checkpoint
+
+  void ResetAdam();
+};
+
+}  // namespace nrff

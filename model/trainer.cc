@@ -1,0 +1,213 @@
+#include "model/trainer.h"
+
+#include <ATen/ATen.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+
+#include "model/kernels/adam.h"
+#include "model/losses.h"
+#include "model/schedule.h"
+#include "pipeline/error.h"
+#include "pipeline/log.h"
+
+namespace nrff {
+namespace {
+
+using torch::Tensor;
+
+constexpr double kMseMemory = 0.98;         // of the running mean of the batches' error
+constexpr double kLeastShrinking = 0.95;    // a box whose volume shrinks less than to this stays as it is
+constexpr int64_t kFewestRays = 64;
+
+std::vector<View> TrainingViews(const Scene& scene) {
+  std::vector<View> views;
+  for (const int i : scene.ViewsOf(Split::kTrain)) views.push_back(scene.views[i]);
+  return views;
+}
+
+// All poses are looked at before hours are spent on them.
+const Scene& Checked(const Scene& scene) {
+  for (const View& view : scene.views) {
+    const auto finite = [](double x) { return std::isfinite(x); };
+    if (!std::all_of(view.scene_from_camera.begin(), view.scene_from_camera.end(), finite) || !(view.fx > 0) ||
+        !(view.fy > 0) || !finite(view.cx) || !finite(view.cy)) {
+      throw InputError("view " + view.name + " has a camera that is not finite; leave it out or correct its pose");
+    }
+  }
+  return scene;
+}
+
+}  // namespace
+
+Trainer::Trainer(const Scene& scene, const ImagePack& pack, const Preset& preset, const TrainOptions& options)
+    : scene_(Checked(scene)),
+      preset_(preset),
+      options_(options),
+      pixels_(TrainingViews(scene), pack, BackgroundLevel(scene, preset.train.unknown_background)),
+      background_(BackgroundLevel(scene, preset.train.unknown_background)),
+      state_(preset.field, preset.train.occupancy_resolution,
+             SceneMap::FromBox(scene.aabb_min, scene.aabb_max, scene.unbounded), options.seed) {
+  state_.n_rays = preset_.train.rays;
+  if (scene_.unbounded && preset_.train.occupancy_min_views > 0) {
+    const int n_views = int(pixels_.views().size());
+    state_.occupancy.MarkSeen(pixels_.views(), state_.map, scene_.near,
+                              std::min(n_views, preset_.train.occupancy_min_views));
+  }
+}
+
+double Trainer::Progress() const {
+  return options_.budget_seconds > 0 ? state_.seconds / options_.budget_seconds
+                                     : double(state_.step) / double(preset_.train.steps);
+}
+
+RenderOptions Trainer::Options(double weight_threshold) const {
+  RenderOptions options;
+  options.step = MarchingStep(preset_.train, state_.step_stage, state_.map);
+  options.near = scene_.near;
+  options.far = scene_.far;
+  options.weight_threshold = weight_threshold;
+  options.stop_transmittance = weight_threshold;
+  options.background = background_;
+  return options;
+}
+
+RenderOptions Trainer::EvaluationOptions() const { return Options(WeightThreshold(preset_.train, Progress())); }
+
+RenderOptions Trainer::FinalOptions() const { return Options(preset_.train.render_weight_threshold); }
+
+double Trainer::TrainPsnr() const { return -10 * std::log10(state_.train_mse < 0 ? NAN : state_.train_mse); }
+
+void Trainer::UpdateOccupancy(bool all_cells) {
+  const TrainConfig& config = preset_.train;
+  OccupancyGrid::UpdateOptions options;
+  options.step = MarchingStep(config, state_.step_stage, state_.map);
+  options.decay = float(config.occupancy_decay);
+  options.threshold = float(config.occupancy_threshold);
+  if (!all_cells) options.n_random = options.n_occupied = config.occupancy_cells / 2;
+  options.seed = options_.seed;
+  options.counter = uint64_t(state_.occupancy_updates);
+  options.dilate = config.occupancy_dilate;
+  state_.occupancy.Update(state_.field, options);
+  ++state_.occupancy_updates;
+}
+
+void Trainer::Shrink() {
+  state_.shrunk = true;
+  const OccupancyGrid::Box box = state_.occupancy.OccupiedBox();
+  double volume = 1;
+  for (int k = 0; k < 3; ++k) volume *= (box.max[k] - box.min[k]) / 2;
+  if (volume > kLeastShrinking) return;
+  std::array<double, 3> low, high;
+  state_.map.ToScene(box.min.data(), low.data());
+  state_.map.ToScene(box.max.data(), high.data());
+  state_.field.Crop(box.min, box.max);
+  state_.map = SceneMap::FromBox(low, high, false);
+  state_.ResetAdam();
+  state_.occupancy = OccupancyGrid(preset_.train.occupancy_resolution);
+  UpdateOccupancy(/*all_cells=*/true);
+  LogDetail("the box shrinks to " + std::to_string(int(std::lround(100 * volume))) + " % of its volume");
+}
+
+void Trainer::FollowSchedule(double progress) {
+  const TrainConfig& config = preset_.train;
+  const int stage = StepStage(config, progress);
+  if (stage != state_.step_stage && config.reset_with_step) {
+    state_.ResetAdam();
+    state_.progress_at_reset = progress;
+  }
+  state_.step_stage = stage;
+
+  if (config.occupancy_interval > 0) {
+    if (state_.step > 0 && state_.step % config.occupancy_interval == 0) {
+      UpdateOccupancy(config.occupancy_cells == 0 || state_.occupancy_updates == 0);
+    }
+  } else {
+    const auto& moments = config.occupancy_moments;
+    const auto n_due = std::upper_bound(moments.begin(), moments.end(), progress) - moments.begin();
+    if (state_.occupancy_updates < n_due) UpdateOccupancy(/*all_cells=*/true);
+  }
+  const bool may_shrink = !scene_.unbounded && config.shrink_moment > 0 && state_.occupancy_updates > 0;
+  if (may_shrink && !state_.shrunk && progress >= config.shrink_moment) Shrink();
+}
+
+void Trainer::Step() {
+  const auto start = std::chrono::steady_clock::now();
+  const TrainConfig& config = preset_.train;
+  const double progress = Progress();
+  FollowSchedule(progress);
+
+  const PixelSource::Batch batch = pixels_.Draw(state_.n_rays, options_.seed, uint64_t(state_.step));
+  RenderOptions options = EvaluationOptions();
+  options.jitter = {options_.seed, uint64_t(state_.step)};
+  const RenderResult rendered = RenderRays(state_.field, state_.occupancy, state_.map, batch.rays, options);
+
+  const Tensor mse = MseLoss(rendered.rgb, batch.target);
+  Tensor loss = mse;
+  if (config.orientation_weight > 0) {
+    loss = loss + config.orientation_weight * OrientationLoss(rendered.shaded_weights, rendered.shaded_normals,
+                                                              rendered.shaded_directions);
+  }
+  const double l1_weight = progress < config.shrink_moment ? config.density_l1_weight : config.density_l1_weight_later;
+  if (l1_weight > 0) loss = loss + l1_weight * state_.field.DensityL1();
+  if (config.sparsity_weight > 0) {
+    loss = loss + config.sparsity_weight * SparsityLoss(rendered.sigma, rendered.delta, state_.n_rays);
+  }
+
+  const std::string not_finite = Optimise(loss, progress);
+  if (not_finite.empty()) {
+    state_.n_skipped_in_row = 0;
+    const double batch_mse = mse.item<double>();
+    state_.train_mse = state_.train_mse < 0 ? batch_mse : kMseMemory * state_.train_mse + (1 - kMseMemory) * batch_mse;
+  } else {
+    ++state_.n_skipped;
+    if (++state_.n_skipped_in_row == kMostSkipped) {
+      throw InputError("training met " + not_finite + " in each of " + std::to_string(kMostSkipped) +
+                       " steps up to step " + std::to_string(state_.step) +
+                       "; look for wrong poses in the scene, or lower the preset's rates");
+    }
+  }
+  if (config.target_shaded > 0) {
+    // Half of the way, so that one unusual batch does not throw it off.
+    const double wanted = double(state_.n_rays) * double(config.target_shaded) / double(std::max<int64_t>(rendered.n_shaded, 1));
+    state_.n_rays = std::clamp(int64_t(0.5 * (double(state_.n_rays) + wanted)), kFewestRays, int64_t(config.max_rays));
+  }
+  state_.samples += rendered.n_samples;
+  ++state_.step;
+  state_.seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+}
+
+std::string Trainer::Optimise(const Tensor& loss, double progress) {
+  const double value = loss.item<double>();
+  if (!std::isfinite(value)) return "a loss of " + std::to_string(value);
+  const std::vector<NrffField::Parameter>& parameters = state_.field.parameters();
+  for (const NrffField::Parameter& parameter : parameters) parameter.value.mutable_grad() = Tensor();
+  if (!loss.requires_grad()) return {};  // no ray met anything
+  loss.backward();
+  for (const NrffField::Parameter& parameter : parameters) {
+    const Tensor& gradient = parameter.value.grad();
+    if (gradient.defined() && !AllFinite(gradient.const_data_ptr<float>(), gradient.numel())) {
+      return "a non-finite gradient of " + parameter.name;
+    }
+  }
+
+  const TrainConfig& config = preset_.train;
+  ++state_.adam_t;
+  const double factor = RateFactor(config, progress, state_.progress_at_reset);
+  for (size_t i = 0; i < parameters.size(); ++i) {
+    const Tensor gradient = parameters[i].value.grad();
+    if (!gradient.defined()) continue;  // nothing was shaded
+    const AdamOptions options{.learning_rate = factor * (parameters[i].is_grid ? config.grid_rate : config.network_rate),
+                              .beta1 = config.beta1,
+                              .beta2 = config.beta2,
+                              .epsilon = config.epsilon,
+                              .lazy = parameters[i].is_grid && config.lazy_grids};
+    AdamStep(options, state_.adam_t, gradient.numel(), gradient.contiguous().const_data_ptr<float>(),
+             parameters[i].value.mutable_data_ptr<float>(), state_.adam_m[i].mutable_data_ptr<float>(),
+             state_.adam_v[i].mutable_data_ptr<float>());
+  }
+  return {};
+}
+
+}  // namespace nrff

@@ -1,0 +1,66 @@
+// Trains an NrffField on the pixels of a scene's training views.
+//
+// A step is a function of (state, scene, configuration, seed) alone when training is counted in steps: on one thread,
+// training that is stopped after step k and goes on from its checkpoint gives the same bits as training that never
+// stopped. With a budget of seconds the schedule follows the clock instead.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "model/config.h"
+#include "model/ray_batch.h"
+#include "model/train_state.h"
+#include "pipeline/scene.h"
+
+namespace nrff {
+
+struct TrainOptions {
+  double budget_seconds = 0;  // of training; 0: config.steps decide
+  uint64_t seed = 0;
+};
+
+class Trainer {
+ public:
+  // Starts from scratch. Keeps references to scene and pack. Throws InputError when the scene cannot be trained on.
+  Trainer(const Scene& scene, const ImagePack& pack, const Preset& preset, const TrainOptions& options);
+
+  // 0 to 1.
+  double Progress() const;
+  bool Done() const { return Progress() >= 1; }
+
+  // One step of the optimiser and what the schedule has due before it. A non-finite loss or gradient leaves the model
+  // as it is and is counted; throws InputError with the evidence when that happens kMostSkipped times in a row.
+  void Step();
+  static constexpr int kMostSkipped = 20;
+
+  TrainState& state() { return state_; }
+  const TrainState& state() const { return state_; }
+  const Preset& preset() const { return preset_; }
+
+  // How images of the present model are rendered.
+  RenderOptions EvaluationOptions() const;
+  // The same for the trained model.
+  RenderOptions FinalOptions() const;
+
+  // dB; NaN before the first step.
+  double TrainPsnr() const;
+
+ private:
+  void FollowSchedule(double progress);
+  void UpdateOccupancy(bool all_cells);
+  void Shrink();
+  // Nothing when all is finite, else what is not.
+  std::string Optimise(const torch::Tensor& loss, double progress);
+  RenderOptions Options(double weight_threshold) const;
+
+  const Scene& scene_;
+  Preset preset_;
+  TrainOptions options_;
+  PixelSource pixels_;
+  double background_;
+  TrainState state_;
+};
+
+}  // namespace nrff

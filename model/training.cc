@@ -1,0 +1,161 @@
+#include "model/training.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <optional>
+
+#include "model/checkpoint.h"
+#include "model/config.h"
+#include "model/held_out.h"
+#include "model/schedule.h"
+#include "model/trainer.h"
+#include "pipeline/error.h"
+#include "pipeline/files.h"
+#include "pipeline/log.h"
+#include "pipeline/progress.h"
+#include "pipeline/scene.h"
+#include "render/compute.h"
+
+namespace nrff {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+constexpr double kSecondsPerCheckpoint = 10;  // of training
+
+double SecondsSince(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
+
+std::string Decibels(double psnr) {
+  char text[32];
+  std::snprintf(text, sizeof(text), "%.2f dB", psnr);
+  return text;
+}
+
+Preset ChoosePreset(const TrainingRequest& request, const Scene& scene) {
+  Preset preset = MakePreset(request.preset, scene.unbounded);
+  if (request.steps > 0) preset.train.steps = request.steps;
+  return preset;
+}
+
+// All that decides what training computes.
+Json Settings(const TrainingRequest& request, const Preset& preset) {
+  return {{"preset", request.preset},
+          {"field", ToJson(preset.field)},
+          {"train", ToJson(preset.train)},
+          {"budget_seconds", request.budget_seconds},
+          {"seed", request.seed}};
+}
+
+// Goes on from the checkpoint in `dir` where there is one that can be used; tells why not where there is not.
+void Resume(const std::filesystem::path& dir, const std::string& settings, const Scene& scene, const ImagePack& pack,
+            const Preset& preset, const TrainOptions& options, std::optional<Trainer>& trainer) {
+  if (!std::filesystem::exists(dir / kCheckpointFile)) return;
+  try {
+    LoadCheckpoint(dir, settings, trainer->state());
+    ++trainer->state().resumed;
+    LogInfo("training goes on from step " + std::to_string(trainer->state().step));
+  } catch (const Error& error) {
+    LogWarning(std::string(error.what()) + "; training starts anew");
+    trainer.emplace(scene, pack, preset, options);
+  }
+}
+
+void Evaluate(const HeldOutViews& held_out, Trainer& trainer) {
+  TrainState& state = trainer.state();
+  const auto start = Clock::now();
+  const double psnr = held_out.Psnr(state.field, state.occupancy, state.map, trainer.EvaluationOptions());
+  state.curve.push_back({state.seconds, state.step, state.samples, psnr, trainer.TrainPsnr()});
+  state.seconds_evaluating += SecondsSince(start);
+  LogInfo("step " + std::to_string(state.step) + ", " + FormatSeconds(state.seconds) + ": held-out " + Decibels(psnr) +
+          ", training " + Decibels(trainer.TrainPsnr()));
+}
+
+void ShowProgress(const Trainer& trainer, double seconds_before, double progress_before, Progress& progress) {
+  const double done = trainer.Progress();
+  const double rate = (trainer.state().seconds - seconds_before) / (done - progress_before);
+  progress.UpdateWithTimeLeft(100 * std::min(done, 1.), rate * std::max(0., 1 - done),
+                              "training views " + Decibels(trainer.TrainPsnr()));
+}
+
+void TrainToTheEnd(Trainer& trainer, const HeldOutViews& held_out, const std::string& settings,
+                   const ArtifactWriter& artifact) {
+  TrainState& state = trainer.state();
+  Progress progress("training", 100, "%");
+  const double seconds_before = state.seconds, progress_before = trainer.Progress();
+  double seconds_at_checkpoint = state.seconds;
+  while (!trainer.Done()) {
+    trainer.Step();
+    ShowProgress(trainer, seconds_before, progress_before, progress);
+    if (state.evaluations < kCurvePoints && trainer.Progress() >= CurveMoment(state.evaluations)) {
+      while (state.evaluations < kCurvePoints && trainer.Progress() >= CurveMoment(state.evaluations)) ++state.evaluations;
+      if (!held_out.empty()) Evaluate(held_out, trainer);
+    }
+    if (state.seconds - seconds_at_checkpoint > kSecondsPerCheckpoint) {
+      SaveCheckpoint(artifact.dir(), state, settings);
+      artifact.SaveSeconds();
+      seconds_at_checkpoint = state.seconds;
+    }
+  }
+  progress.Done("training views " + Decibels(trainer.TrainPsnr()));
+}
+
+Json Curve(const TrainState& state) {
+  Json curve = Json::array();
+  for (const CurvePoint& point : state.curve) {
+    curve.push_back({{"seconds", point.seconds},
+                     {"steps", point.steps},
+                     {"samples", point.samples},
+                     {"psnr", point.psnr},
+                     {"train_psnr", point.train_psnr}});
+  }
+  return curve;
+}
+
+}  // namespace
+
+void RunTraining(const TrainingRequest& request, const Params& params) {
+  const Decision device = ChooseDevice(request.device);
+  const int n_threads = SetThreads(request.n_threads);
+  const Manifest scene_manifest = RequireArtifact(request.scene_dir, "pose");
+  const Scene scene = LoadScene(request.scene_dir);
+  const ImagePack pack(request.scene_dir);
+  const Preset preset = ChoosePreset(request, scene);
+  const TrainOptions options{.budget_seconds = request.budget_seconds, .seed = request.seed};
+  const Json settings = Settings(request, preset);
+
+  ArtifactWriter artifact("train", request.out, params, {ArtifactInput(request.scene_dir, scene_manifest)},
+                          ArtifactWriter::kKeepPartial);
+  artifact.SaveSeconds();
+  std::optional<Trainer> trainer;
+  trainer.emplace(scene, pack, preset, options);
+  if (artifact.resumed()) Resume(artifact.dir(), settings.dump(), scene, pack, preset, options, trainer);
+  const HeldOutViews held_out(scene, pack, BackgroundLevel(scene, preset.train.unknown_background));
+  TrainToTheEnd(*trainer, held_out, settings.dump(), artifact);
+
+  const TrainState& state = trainer->state();
+  SaveModel(artifact.dir(), state, trainer->FinalOptions());
+  SaveCheckpoint(artifact.dir(), state, settings.dump());
+  artifact.facts() = {{"steps", state.step},
+                      {"samples", state.samples},
+                      {"preset", request.preset},
+                      {"settings", settings},
+                      {"curve", Curve(state)},
+                      {"curve_protocol", held_out.Protocol()},
+                      {"train_psnr", trainer->TrainPsnr()},
+                      {"seconds_training", state.seconds},
+                      {"seconds_evaluating", state.seconds_evaluating},
+                      {"steps_per_second", double(state.step) / state.seconds},
+                      {"steps_skipped", state.n_skipped},
+                      {"device", "cpu"},
+                      {"threads", n_threads},
+                      {"n_parameters", state.field.n_parameters()},
+                      {"occupied_fraction", state.occupancy.OccupiedFraction()},
+                      {"resumed", state.resumed}};
+  artifact.AddDecision(device);
+  artifact.AddOutput(kModelFile);
+  artifact.Commit();
+}
+
+}  // namespace nrff

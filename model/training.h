@@ -1,0 +1,25 @@
+// The train stage: a scene artifact in, a train artifact out, with checkpoints, progress and the held-out curve.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+
+#include "pipeline/manifest.h"
+
+namespace nrff {
+
+struct TrainingRequest {
+  std::filesystem::path scene_dir, out;
+  std::string preset = "small";
+  int64_t steps = 0;          // 0: the preset's
+  double budget_seconds = 0;  // of training, without evaluating; 0: steps decide
+  uint64_t seed = 0;
+  std::string device = "auto";
+  int n_threads = 0;  // 0: one per core
+};
+
+// `params`: what of the request was given by the caller (manifest.params).
+void RunTraining(const TrainingRequest& request, const Params& params);
+
+}  // namespace nrff
