@@ -18,19 +18,18 @@ namespace fs = std::filesystem;
 
 constexpr char kJointReport[] = "report/report.html";
 
-// The joint report over the branches that have a report of their own; its path, or empty when there are none.
-fs::path WriteJointReportOf(const std::vector<BranchResult>& results) {
-  std::vector<Workspace> workspaces;
+bool HasCompleteReport(const Workspace& workspace) {
+  RealDisk disk;
+  const ArtifactState report = disk.ReadArtifact(workspace.Artifact("report"));
+  return report.manifest && report.manifest->facts.value("status", "") == "complete";
+}
+
+// A capture that failed gets a report with the diagnosis, unless a complete one would be lost.
+void ReportFailures(const std::vector<BranchResult>& results) {
   for (const BranchResult& result : results) {
-    const BranchResult::Stage* report = result.Find("report");
-    if (report != nullptr && report->manifest) workspaces.push_back(result.request.workspace);
+    const Workspace& workspace = result.request.workspace;
+    if (result.FirstFailed() != nullptr && !HasCompleteReport(workspace)) WriteReport(workspace.root());
   }
-  if (workspaces.empty()) return {};
-  std::vector<fs::path> roots;
-  for (const Workspace& workspace : workspaces) roots.push_back(workspace.root());
-  const fs::path folder = CommonFolder(workspaces);
-  WriteJointReport(folder, roots);
-  return folder / kJointReport;
 }
 
 void Run(const BranchOptions& branch, bool dry_run, const OutputOptions& output) {
@@ -38,8 +37,12 @@ void Run(const BranchOptions& branch, bool dry_run, const OutputOptions& output)
   if (dry_run) return PlanAndPrint(requests, output.json);
 
   std::vector<Workspace> workspaces;
-  for (const BranchRequest& request : requests) workspaces.push_back(request.workspace);
-  CommonFolder(workspaces);  // before hours are spent
+  std::vector<fs::path> roots;
+  for (const BranchRequest& request : requests) {
+    workspaces.push_back(request.workspace);
+    roots.push_back(request.workspace.root());
+  }
+  const fs::path folder = CommonFolder(workspaces);
   const Machine machine = ThisMachine();
   std::vector<WorkspaceLock> locks;
   std::vector<Node> nodes;
@@ -51,15 +54,18 @@ void Run(const BranchOptions& branch, bool dry_run, const OutputOptions& output)
   }
   const std::vector<BranchResult> results =
       RunBranches(requests, std::move(nodes), machine, output.verbosity());
-  const fs::path joint_report = results.size() > 1 ? WriteJointReportOf(results) : fs::path();
+  ReportFailures(results);
+  const bool joint = results.size() > 1 && branch.until.empty();
+  const fs::path joint_report = folder / kJointReport;
+  if (joint) WriteJointReport(folder, roots);
   if (output.json) {
     Json captures = Json::array();
     for (const BranchResult& result : results) captures.push_back(ResultToJson(result));
     PrintJson({{"captures", captures},
-               {"joint_report", joint_report.empty() ? Json() : Json(EscapePath(joint_report))}});
+               {"joint_report", joint ? Json(EscapePath(joint_report)) : Json()}});
   } else if (!output.quiet) {
     for (const BranchResult& result : results) PrintResult(result, std::cout);
-    if (!joint_report.empty()) std::cout << "all together: " << EscapePath(joint_report) << '\n';
+    if (joint) std::cout << "all together: " << EscapePath(joint_report) << '\n';
   }
   ThrowIfFailed(results);
 }
@@ -131,7 +137,7 @@ Command AddRunCommand(CLI::App& app) {
   AddJsonOption(*command, options->output);
   command->footer(
       "Several captures share one run and a joint report; one that fails does not stop\n"
-      "the others. Killed at any moment, the same command goes on from what is complete.\n"
+      "the others. Killed at any moment, the same command goes on from what is there.\n"
       "Example: nrff run photos/ --budget 10m");
   return {command, [options] { Run(options->branch, options->dry_run, options->output); }};
 }

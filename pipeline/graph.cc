@@ -82,6 +82,7 @@ std::string Graph::WhyStale(const Node& node) {
   const ArtifactState& state = Artifact(node);
   if (!state.manifest) return state.problem;
   const Manifest& manifest = *state.manifest;
+  if (manifest.kind != node.stage) return "is an artifact of the stage " + manifest.kind;
   if (manifest.version != version_) return "was made by version " + manifest.version + ", this is " + version_;
   const std::string params_differ = WhyParamsDiffer(manifest.params, node.params);
   return params_differ.empty() ? WhyInputsDiffer(node, manifest) : params_differ;

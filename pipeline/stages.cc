@@ -1,10 +1,7 @@
 #include "pipeline/stages.h"
 
 #include <algorithm>
-#include <array>
-
-#include "pipeline/error.h"
-#include "pipeline/files.h"
+#include <string_view>
 
 namespace nrff {
 namespace {
@@ -23,19 +20,21 @@ struct Stage {
   std::string program, sub_command;
   std::vector<Argument> reads;      // artifacts, in the order of the command line
   std::vector<std::string> params;  // options that change its result
+  std::vector<std::string> others;  // options that do not
   bool takes_threads = false;       // and keeps all cores busy
   uint64_t memory_bytes = 0;        // guess for a capture of ordinary size
 };
 
 const std::vector<Stage>& Table() {
   static const std::vector<Stage> table = {
-      {"ingest", "nrff-ingest", "", {}, {}, false, 512 * kMebibyte},
-      {"sfm", "nrff-pose", "estimate", {{"--ingest", "ingest"}}, {"seed"}, true, 2048 * kMebibyte},
+      {"ingest", "nrff-ingest", "", {}, {}, {}, false, 512 * kMebibyte},
+      {"sfm", "nrff-pose", "estimate", {{"--ingest", "ingest"}}, {"seed"}, {}, true, 2048 * kMebibyte},
       {"pose",
        "nrff-pose",
        "normalise",
        {{"--ingest", "ingest"}, {"--sfm", "sfm"}},
        {"max-image-size"},
+       {},
        false,
        1024 * kMebibyte},
       {"train",
@@ -43,11 +42,19 @@ const std::vector<Stage>& Table() {
        "",
        {{"--scene", "pose"}},
        {"preset", "steps", "budget-seconds", "seed", "device"},
+       {},
        true,
        2048 * kMebibyte},
-      {"render", "nrff-render", "", {{"--scene", "pose"}, {"--model", "train"}}, {"device"}, true, 1024 * kMebibyte},
-      {"eval", "nrff-eval", "", {{"--scene", "pose"}, {"--renders", "render"}}, {}, false, 512 * kMebibyte},
-      {"report", "nrff", "report", {}, {}, false, 256 * kMebibyte},
+      {"render",
+       "nrff-render",
+       "",
+       {{"--scene", "pose"}, {"--model", "train"}},
+       {},
+       {"device"},
+       true,
+       1024 * kMebibyte},
+      {"eval", "nrff-eval", "", {{"--scene", "pose"}, {"--renders", "render"}}, {}, {}, false, 512 * kMebibyte},
+      {"report", "nrff", "report", {}, {}, {}, false, 256 * kMebibyte},
   };
   return table;
 }
@@ -89,11 +96,13 @@ Node MakeNode(const Stage& stage, const BranchRequest& request, const Machine& m
     }
     node.command.insert(node.command.end(), {"--out", node.artifact.string()});
   }
-  for (const std::string& name : stage.params) {
-    const auto given = request.options.find(name);
-    if (given == request.options.end()) continue;
-    node.params.insert(*given);
-    node.command.insert(node.command.end(), {"--" + name, given->second});
+  for (const bool is_param : {true, false}) {
+    for (const std::string& name : is_param ? stage.params : stage.others) {
+      const auto given = request.options.find(name);
+      if (given == request.options.end()) continue;
+      if (is_param) node.params.insert(*given);
+      node.command.insert(node.command.end(), {"--" + name, given->second});
+    }
   }
   if (stage.takes_threads && !request.threads.empty()) {
     node.command.insert(node.command.end(), {"--threads", request.threads});

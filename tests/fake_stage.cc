@@ -1,0 +1,104 @@
+// Stands in for every stage in the driver's tests: reads and writes artifacts as they do, in no time. Which stage it is
+// it takes from the last part of --out. The environment says how it behaves:
+//   FAKE_LOG           a file that gets a line "BRANCH/STAGE" for every run
+//   FAKE_FAIL          "BRANCH/STAGE": that one ends with exit code 3 and an error
+//   FAKE_HANG          "BRANCH/STAGE": that one waits for a signal, after a line "hanging" in FAKE_LOG
+//   FAKE_PAYLOAD       text that ingest's payload is made from, beside the capture's content
+//   FAKE_POSED         set: the capture brings its poses
+#include <unistd.h>
+
+#include <cstdlib>
+#include <fstream>
+#include <iostream>
+#include <map>
+#include <set>
+
+#include "pipeline/files.h"
+#include "pipeline/log.h"
+#include "pipeline/manifest.h"
+#include "pipeline/progress.h"
+
+namespace fs = std::filesystem;
+
+namespace {
+
+std::string Environment(const char* name) {
+  const char* value = std::getenv(name);
+  return value == nullptr ? "" : value;
+}
+
+void Note(const std::string& line) {
+  const std::string path = Environment("FAKE_LOG");
+  if (!path.empty()) std::ofstream(path, std::ios::app) << line << std::endl;
+}
+
+const std::set<std::string> kParams = {"preset", "steps", "budget-seconds", "seed", "max-image-size"};
+const std::set<std::string> kInputs = {"ingest", "sfm", "scene", "model", "renders"};
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  std::map<std::string, std::string> options;
+  std::string positional;
+  for (int i = 1; i < argc; ++i) {
+    const std::string argument = argv[i];
+    if (argument.compare(0, 2, "--") != 0) {
+      positional = argument;
+    } else if (argument == "--verbose" || argument == "--quiet" || argument == "--probe") {
+      options[argument.substr(2)] = "";
+    } else if (i + 1 < argc) {
+      options[argument.substr(2)] = argv[++i];
+    }
+  }
+  const bool posed = !Environment("FAKE_POSED").empty();
+  nrff::Json facts = {{"posed", posed}, {"kind", "photos"}, {"n_images", 8}};
+  if (options.contains("probe")) {
+    std::cout << facts.dump() << std::endl;
+    return 0;
+  }
+  const fs::path out = options.at("out");
+  const std::string stage = out.filename().string();
+  const std::string id = out.parent_path().filename().string() + "/" + stage;
+  Note(id);
+  if (Environment("FAKE_FAIL") == id) {
+    std::cerr << "error: " << id << " was told to fail" << std::endl;
+    return 3;
+  }
+  if (Environment("FAKE_HANG") == id) {
+    Note("hanging " + std::to_string(getpid()));
+    while (true) pause();
+  }
+
+  nrff::Params params;
+  std::vector<nrff::HashedPath> inputs;
+  std::string payload = stage;
+  for (const auto& [name, value] : options) {
+    if (kParams.contains(name)) {
+      params[name] = value;
+      payload += name + value;
+    } else if (kInputs.contains(name)) {
+      inputs.push_back(nrff::ArtifactInput(value, *nrff::ReadManifest(value)));
+      payload += nrff::ReadFile(fs::path(value) / "payload");
+    }
+  }
+  if (stage == "ingest") {
+    inputs.push_back({nrff::EscapePath(positional), nrff::HashTree(positional), 0});
+    payload += inputs.front().hash + Environment("FAKE_PAYLOAD");
+  }
+  nrff::Progress progress("working", 2, "steps");
+  progress.Update(1, "half");
+  nrff::LogInfo("halfway through " + id);
+  nrff::ArtifactWriter artifact(stage, out, params, inputs);
+  nrff::WriteFileAtomically(artifact.dir() / "payload", nrff::HashBytes(payload));
+  artifact.AddOutput("payload");
+  if (options.contains("path")) {
+    fs::create_directories(artifact.dir() / "rgb");
+    nrff::WriteFileAtomically(artifact.dir() / "rgb" / "000000.png", "no picture");
+    artifact.AddOutput("rgb");
+  }
+  artifact.facts() = facts;
+  if (stage == "pose") artifact.AddDecision({"undistortion", false, "largest displacement 0.03 px", "0.1 px", "no lens"});
+  artifact.Commit();
+  progress.Done();
+  return 0;
+}
