@@ -47,32 +47,62 @@ void DrawBits(const std::vector<uint64_t>& words, int64_t n_draws, Draw&& draw, 
   }
 }
 
+using Corners = std::array<Vec3, 8>;
+
+// The scene images of the corners of the cube of half side `half` at `center`, both in field coordinates. The faces of
+// the contracted space, which lie at infinity, are taken a little inside.
+Corners SceneCorners(const SceneMap& map, const double center[3], double half) {
+  const double limit = map.unbounded ? 1 - 1e-4 : 1;
+  Corners corners;
+  for (int c = 0; c < 8; ++c) {
+    double field[3];
+    for (int k = 0; k < 3; ++k) {
+      field[k] = std::clamp(center[k] + ((c >> k & 1) != 0 ? half : -half), -limit, limit);
+    }
+    map.ToScene(field, corners[c].data());
+  }
+  return corners;
+}
+
+enum class Overlap { kNone, kPartial, kWhole };
+
 // A view as four side planes and the near plane, in scene space.
 class Frustum {
  public:
   Frustum(const View& view, double near) : near_(near) {
     const Mat4& m = view.scene_from_camera;
     origin_ = {m[3], m[7], m[11]};
-    const double width = view.width, height = view.height;
-    const Vec3 normals[4] = {{view.fx, 0, view.cx},              // x ≥ 0 px
-                             {-view.fx, 0, width - view.cx},     // x ≤ width
-                             {0, view.fy, view.cy},              // y ≥ 0 px
-                             {0, -view.fy, height - view.cy}};   // y ≤ height
-    for (int p = 0; p < 4; ++p) planes_[p] = Rotate(m, normals[p]);
-    planes_[4] = Rotate(m, {0, 0, 1});
+    normals_[0] = Rotate(m, {view.fx, 0, view.cx});                 // x ≥ 0 px
+    normals_[1] = Rotate(m, {-view.fx, 0, view.width - view.cx});   // x ≤ width
+    normals_[2] = Rotate(m, {0, view.fy, view.cy});                 // y ≥ 0 px
+    normals_[3] = Rotate(m, {0, -view.fy, view.height - view.cy});  // y ≤ height
+    normals_[4] = Rotate(m, {0, 0, 1});                             // z ≥ near
   }
 
-  // Signed distance of the point from the nearest plane: positive inside.
-  double Depth(const double point[3]) const {
-    const Vec3 p{point[0] - origin_[0], point[1] - origin_[1], point[2] - origin_[2]};
-    double depth = Dot(planes_[4], p) - near_;
-    for (int k = 0; k < 4; ++k) depth = std::min(depth, Dot(planes_[k], p));
-    return depth;
+  // Of the frustum with the convex hull of the corners, which holds the image of their cube but for the curvature that
+  // the contraction gives to its sides: the slack. A hull that no single plane separates counts as seen.
+  Overlap With(const Corners& corners) const {
+    const Vec3& first = corners.front();
+    const Vec3& last = corners.back();
+    const double slack = 0.02 * std::hypot(last[0] - first[0], last[1] - first[1], last[2] - first[2]);
+    Overlap overlap = Overlap::kWhole;
+    for (int plane = 0; plane < 5; ++plane) {
+      const double offset = Dot(normals_[plane], origin_) + (plane == 4 ? near_ : 0);
+      double low = Dot(normals_[plane], first) - offset, high = low;
+      for (int c = 1; c < 8; ++c) {
+        const double distance = Dot(normals_[plane], corners[c]) - offset;
+        low = std::min(low, distance);
+        high = std::max(high, distance);
+      }
+      if (high < -slack) return Overlap::kNone;
+      if (low < slack) overlap = Overlap::kPartial;
+    }
+    return overlap;
   }
 
  private:
   static double Dot(const Vec3& a, const Vec3& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-  static Vec3 Rotate(const Mat4& m, Vec3 v) {
+  static Vec3 Rotate(const Mat4& m, const Vec3& v) {
     const double norm = std::sqrt(Dot(v, v));
     Vec3 out;
     for (int k = 0; k < 3; ++k) out[k] = (m[4 * k] * v[0] + m[4 * k + 1] * v[1] + m[4 * k + 2] * v[2]) / norm;
@@ -81,29 +111,8 @@ class Frustum {
 
   double near_;
   Vec3 origin_;
-  Vec3 planes_[5];
+  Vec3 normals_[5];  // unit, pointing inwards
 };
-
-struct Sphere {
-  double center[3];  // scene units
-  double radius;
-};
-
-// A sphere around the scene image of the cube of half side `half` at `center`, both in field coordinates. The inverse
-// contraction stretches by at most m_u² = 1/(2 − m)² [Barron22], taken at the cube's outermost point.
-Sphere SceneSphere(const SceneMap& map, const double center[3], double half) {
-  Sphere sphere{};
-  map.ToScene(center, sphere.center);
-  const auto& h = map.half_extent;
-  double stretch = 1;
-  if (map.unbounded) {
-    const double m = 2 * (std::max({std::abs(center[0]), std::abs(center[1]), std::abs(center[2])}) + half);
-    const double m_u = m <= 1 ? 1 : 1 / std::max(2 - m, 1e-9);
-    stretch = 2 * m_u * m_u;
-  }
-  sphere.radius = half * stretch * std::sqrt(h[0] * h[0] + h[1] * h[1] + h[2] * h[2]);
-  return sphere;
-}
 
 }  // namespace
 
@@ -242,24 +251,22 @@ void OccupancyGrid::MarkSeen(const std::vector<View>& views, const SceneMap& map
     const std::array<int, 3> corner = CellAt(block * kCellsPerBlock);
     double center[3];
     for (int k = 0; k < 3; ++k) center[k] = corner[k] * cell_size + half_block - 1;
-    const Sphere around_block = SceneSphere(map, center, half_block);
+    const Corners block_corners = SceneCorners(map, center, half_block);
     int n_whole = 0;
     std::vector<const Frustum*> partial;
     for (const Frustum& frustum : frusta) {
-      const double depth = frustum.Depth(around_block.center);
-      if (depth >= around_block.radius) {
-        ++n_whole;
-      } else if (depth > -around_block.radius) {
-        partial.push_back(&frustum);
-      }
+      const Overlap overlap = frustum.With(block_corners);
+      n_whole += overlap == Overlap::kWhole ? 1 : 0;
+      if (overlap == Overlap::kPartial) partial.push_back(&frustum);
     }
+    if (n_whole >= min_views) continue;
     for (int64_t i = block * kCellsPerBlock; i < (block + 1) * kCellsPerBlock; ++i) {
       const std::array<int, 3> cell = CellAt(i);
       for (int k = 0; k < 3; ++k) center[k] = (cell[k] + 0.5) * cell_size - 1;
-      const Sphere sphere = SceneSphere(map, center, 0.5 * cell_size);
+      const Corners corners = SceneCorners(map, center, 0.5 * cell_size);
       int n_views = n_whole;
       for (size_t p = 0; p < partial.size() && n_views < min_views; ++p) {
-        n_views += partial[p]->Depth(sphere.center) > -sphere.radius ? 1 : 0;
+        n_views += partial[p]->With(corners) != Overlap::kNone ? 1 : 0;
       }
       const uint64_t bit = uint64_t{1} << (i % 64);
       if (n_views < min_views) seen_[i / 64] &= ~bit;

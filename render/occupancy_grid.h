@@ -37,8 +37,8 @@ class OccupancyGrid {
   // Evaluates field.Density at a random point (float) in each chosen cell, without gradients, and sets the bits anew.
   void Update(const RadianceField& field, const UpdateOptions& options);
 
-  // Only cells that at least `min_views` of the views see remain sampled, from now on. A cell is seen when its bounding
-  // sphere meets the view's frustum beyond `near` (scene units).
+  // Only cells that at least `min_views` of the views see remain sampled, from now on. A view sees a cell when its
+  // frustum beyond `near` (scene units) meets any of it.
   void MarkSeen(const std::vector<View>& views, const SceneMap& map, double near, int min_views);
 
   int resolution() const { return resolution_; }
