@@ -36,9 +36,7 @@ Json PartOrWarning(Json& summary, const Make& make) {
 }
 
 // One capture as a row of the joint report.
-Json Row(const fs::path& folder, const fs::path& workspace) {
-  const WorkspaceState state = ReadWorkspace(workspace);
-  const Json summary = Summarise(state);
+Json Row(const fs::path& folder, const WorkspaceState& state, const Json& summary) {
   const std::string place = EscapePath(fs::proximate(state.root, folder));
   return {{"workspace", place},
           {"report", fs::exists(state.root / "report" / "report.html") ? Json(place + "/report/report.html") : Json()},
@@ -77,16 +75,21 @@ void WriteReport(const fs::path& workspace) {
 
 void WriteJointReport(const fs::path& folder, const std::vector<fs::path>& workspaces) {
   const fs::path root = fs::absolute(folder);
-  Json captures = Json::array();
-  for (const fs::path& workspace : workspaces) captures.push_back(Row(root, workspace));
-  const Json summary = {{"schema_version", kJointSummarySchemaVersion}, {"captures", captures}};
+  Json captures = Json::array(), shown = Json::array();
+  for (const fs::path& workspace : workspaces) {
+    const WorkspaceState state = ReadWorkspace(workspace);
+    Json summary = Summarise(state);
+    captures.push_back(Row(root, state, summary));
+    shown.push_back(captures.back());
+    shown.back()["picture"] = PartOrWarning(summary, [&] { return MedianPicture(state, summary["images"]); });
+  }
   const fs::path out = root / "report";
   std::error_code error;
   fs::create_directories(out, error);
   if (error) throw ResourceError("Folder " + EscapePath(out) + " cannot be made (" + error.message() + ").");
-  WriteJson(out / "summary.json", summary);
-  WriteFileAtomically(out / "report.html",
-                      FillPage("joint.html", std::to_string(workspaces.size()) + " captures", summary));
+  WriteJson(out / "summary.json", {{"schema_version", kJointSummarySchemaVersion}, {"captures", captures}});
+  WriteFileAtomically(out / "report.html", FillPage("joint.html", std::to_string(workspaces.size()) + " captures",
+                                                    {{"captures", shown}}));
 }
 
 }  // namespace nrff

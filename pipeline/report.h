@@ -21,7 +21,7 @@
 //     protocol            how the metrics were made (eval/evaluate.h), or null
 //     warnings            [{kind, text, items: [text]}] what a reader of the figures has to know
 //     versions            {nrff, colmap}; a stage made by another version of nrff has its own entry
-//     host                {cpu, cores, memory_bytes, os} where training ran
+//     host                {cpu, cores, memory_bytes, os} where training ran, or ingest if it has not
 #pragma once
 
 #include <filesystem>

@@ -139,6 +139,11 @@ Json Pictures(const WorkspaceState& state, const Json& images) {
   return {{"views", views}, {"note", note}};
 }
 
+Json MedianPicture(const WorkspaceState& state, const Json& images) {
+  if (images.empty()) return nullptr;
+  return PngDataUri(FilesOf(state, images[ByPsnr(images)[images.size() / 2]]).rendered);
+}
+
 Json Geometry(const WorkspaceState& state) {
   if (!state.Stage("pose").manifest) return nullptr;
   const fs::path dir = state.root / "pose";

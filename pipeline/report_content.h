@@ -16,6 +16,9 @@ inline constexpr size_t kMaxPictureBytes = size_t(64) << 20;
 // the summary's. `note` says which views are shown when not all are; else it is empty.
 Json Pictures(const WorkspaceState& state, const Json& images);
 
+// The rendered view of median PSNR as a data URI; null when nothing was rendered.
+Json MedianPicture(const WorkspaceState& state, const Json& images);
+
 // {points: {n, n_total, positions: Base64 of float32 x y z, colors: Base64 of uint8 r g b} | null,
 //  cameras: [{name, split, scene_from_camera [16], slope_x, slope_y}]}: positions in scene units; slopes are half the
 // field of view's tangents. Null when the pose stage has not run. Throws CorruptError when its files are damaged.

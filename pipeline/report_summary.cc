@@ -139,7 +139,7 @@ WorkspaceState ReadWorkspace(const fs::path& path) {
 
 Json Summarise(const WorkspaceState& state) {
   const Json failure = Failure(state);
-  Json stages = Json::array(), decisions = Json::array(), options = Json::object();
+  Json stages = Json::array(), decisions = Json::array(), options = Json::object(), host;
   double total_seconds = 0;
   for (const StageState& stage : state.stages) {
     if (!stage.manifest) continue;
@@ -149,6 +149,7 @@ Json Summarise(const WorkspaceState& state) {
                       {"peak_memory_bytes", manifest.peak_memory_bytes},
                       {"reused", stage.reused}});
     total_seconds += manifest.seconds;
+    if (host.is_null() || stage.name == "train") host = manifest.host;
     if (!manifest.params.empty()) options[stage.name] = manifest.params;
     for (const Decision& decision : manifest.decisions) {
       decisions.push_back(decision);
@@ -156,7 +157,6 @@ Json Summarise(const WorkspaceState& state) {
     }
   }
   const bool complete = stages.size() == state.stages.size();
-  const std::optional<Manifest>& train = state.Stage("train").manifest;
   return {{"schema_version", kSummarySchemaVersion},
           {"name", state.name},
           {"status", !failure.is_null() ? "failed" : complete ? "complete" : "incomplete"},
@@ -172,7 +172,7 @@ Json Summarise(const WorkspaceState& state) {
           {"protocol", At(state.Facts("eval"), "protocol")},
           {"warnings", Warnings(state)},
           {"versions", Versions(state)},
-          {"host", train ? train->host : Json()}};
+          {"host", host}};
 }
 
 }  // namespace nrff

@@ -75,7 +75,8 @@ Json Warnings(const WorkspaceState& state) {
   }
   if (const int n_identical = Count(eval, "n_identical"); n_identical > 0) {
     warnings.push_back({{"kind", "identical images"},
-                        {"text", Photos(n_identical) + " equal to the rendered view: infinite PSNR, left out of the mean."},
+                        {"text", fmt::format("{} rendered view{} identical to the photo: infinite PSNR, left out of the mean.",
+                                             n_identical, n_identical == 1 ? " is" : "s are")},
                         {"items", Json::array()}});
   }
   WarnOfRegistration(state.Facts("sfm"), state.Facts("pose"), ingest, warnings);

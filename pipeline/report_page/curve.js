@@ -48,7 +48,7 @@ function makeCurve(points) {
     plot.replaceChildren();
     plot.setAttribute("viewBox", `0 0 ${width} ${height}`);
     plot.style.height = `${height}px`;
-    for (const value of ticks(low, high, 5)) {
+    for (const value of ticks(low, high, 8)) {
       plot.append(svg("line", {class: "grid", x1: margin.left, x2: width - margin.right, y1: y(value), y2: y(value)}),
         svg("text", {x: margin.left - 10, y: y(value) + 4, "text-anchor": "end"}, Number(value.toFixed(2))));
     }

@@ -10,6 +10,7 @@ const status = ({status: state, failure}) => (state === "failed"
   : el("span", {className: `pill${state === "complete" ? " yes" : ""}`}, state === "complete" ? "complete" : "not finished"));
 
 const columns = [
+  {label: "", value: () => null, cell: (capture) => (capture.picture ? el("img", {className: "thumb", src: capture.picture, alt: ""}) : "")},
   {label: "Capture", value: (capture) => capture.name,
     cell: (capture) => (capture.report ? el("a", {href: link(capture)}, capture.name) : capture.name)},
   {label: "PSNR (dB)", number: true, value: (capture) => capture.metrics.psnr, cell: (capture) => format.psnr(capture.metrics.psnr)},

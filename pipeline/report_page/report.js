@@ -43,18 +43,18 @@ function showTiles() {
   const registered = split.registered, total = facts.ingest?.n_images;
   const heldOut = isNumber(split.registered_test) ? `${split.registered_test} of ${split.test} held out` : "";
   if (isNumber(registered)) add(facts.ingest?.posed ? "Posed photos" : "Registered", String(registered), `of ${total}`, heldOut);
-  add("Training", format.seconds(training.seconds), "", isNumber(training.steps) ? plural(training.steps, "step") : "");
-  if (training.device) add("Device", String(training.device).toUpperCase(), "", isNumber(training.threads) ? plural(training.threads, "thread") : "");
-  if (summary.stages.length > 0) add("Total time", format.seconds(summary.total_seconds), "", "all stages");
   add("Model", format.bytes(training.model_bytes), "", isNumber(training.n_parameters) ? `${format.large(training.n_parameters)} parameters` : "");
+  add("Training", format.seconds(training.seconds), "", isNumber(training.steps) ? plural(training.steps, "step") : "");
+  add("Rendering", format.seconds(facts.render?.seconds_per_view), "", "a view");
+  if (summary.stages.length > 0) add("Total time", format.seconds(summary.total_seconds), "", "all stages");
+  if (training.device) add("Device", String(training.device).toUpperCase(), "", isNumber(training.threads) ? plural(training.threads, "thread") : "");
 }
 
 function showWarnings() {
-  for (const {text, items} of summary.warnings) {
-    byId("warnings").append(el("div", {className: "notice"}, el("p", {}, el("strong", {}, "Note. "), text),
-      items.length > 0 ? el("details", {open: items.length <= 4}, el("summary", {}, plural(items.length, "item")),
-        el("ul", {}, ...items.map((item) => el("li", {}, item)))) : null));
-  }
+  if (summary.warnings.length === 0) return;
+  byId("warnings").append(el("div", {className: "notice"}, el("strong", {}, "Worth knowing"),
+    ...summary.warnings.map(({text, items}) => (items.length === 0 ? el("p", {}, text)
+      : el("details", {}, el("summary", {}, text), el("ul", {}, ...items.map((item) => el("li", {}, item))))))));
 }
 
 function showImages() {
@@ -93,7 +93,7 @@ function showImages() {
   addSection("views", "Held-out views",
     "Photos the model has never seen. Drag the divider to compare a photo with what the model makes of its camera.",
     viewer?.element ?? "", pictures?.note ? el("p", {className: "hint"}, pictures.note) : "");
-  addSection("figures", "Figures per view", `Sort by clicking a heading. ${metrics.lpips_reason ? `No LPIPS: ${metrics.lpips_reason}.` : ""}`, table.element);
+  addSection("figures", "Figures per view", `Sort by clicking a heading.${metrics.lpips_reason ? ` LPIPS is left out: ${metrics.lpips_reason}.` : ""}`, table.element);
   return viewer;
 }
 
@@ -121,20 +121,24 @@ function showSpace(viewer) {
 }
 
 function showStages() {
-  if (summary.stages.length === 0) return;
-  const longest = Math.max(...summary.stages.map((stage) => stage.seconds), 1e-9);
+  const {stages, failure} = summary;
+  const failed = (stage) => stage.name === failure?.stage;
+  const rows = !failure || stages.some(failed) ? stages : [...stages, {name: failure.stage, seconds: null, peak_memory_bytes: null}];
+  if (rows.length === 0) return;
+  const longest = Math.max(...rows.map((stage) => stage.seconds), 1e-9);
+  const state = (stage) => (failed(stage) ? "failed" : stage.reused ? "reused" : "made");
+  const tone = {failed: "bad", made: "yes", reused: ""};
   const columns = [
     {label: "Stage", value: (stage) => stage.name},
     {label: "Time", number: true, value: (stage) => stage.seconds, cell: (stage) => el("span", {}, format.seconds(stage.seconds),
       el("span", {className: "bar"}, el("i", {style: `width: ${100 * stage.seconds / longest}%`})))},
     {label: "Peak memory", number: true, value: (stage) => stage.peak_memory_bytes, cell: (stage) => format.bytes(stage.peak_memory_bytes)},
-    {label: "Last run", value: (stage) => (stage.reused ? "reused" : "made"),
-      cell: (stage) => el("span", {className: `pill${stage.reused ? "" : " yes"}`}, stage.reused ? "reused" : "made")},
+    {label: "Last run", value: state, cell: (stage) => el("span", {className: `pill ${tone[state(stage)]}`}, state(stage))},
   ];
   const host = summary.host;
   const where = host?.cpu ? ` On ${host.cpu}, ${plural(host.cores, "core")}, ${format.bytes(host.memory_bytes)} of memory.` : "";
   addSection("stages", "Stages", `Time and memory of what made this result, whichever run it was made in.${where}`,
-    makeTable(columns, summary.stages).element);
+    makeTable(columns, rows).element);
 }
 
 function showDecisions() {
@@ -160,9 +164,9 @@ function showDetails() {
   }
   if (summary.settings.training) children.push(more("Training settings", pairs(summary.settings.training)));
   if (Object.keys(summary.settings.options).length > 0) children.push(more("Options given", pairs(summary.settings.options)));
-  for (const [stage, values] of Object.entries(facts)) {
-    const {curve, settings, protocol, ...rest} = values;
-    if (Object.keys(rest).length > 0) children.push(more(`Measured by ${stage}`, pairs(rest)));
+  for (const {name} of summary.stages) {
+    const {curve, settings, protocol, ...rest} = facts[name];  // those have their own places
+    if (Object.keys(rest).length > 0) children.push(more(`Measured by ${name}`, pairs(rest)));
   }
   children.push(more("Versions", pairs(summary.versions)));
   addSection("details", "Details", "Everything needed to repeat and to compare.", ...children);

@@ -75,7 +75,7 @@ function makeTable(columns, rows, options = {}) {
   }
   const heads = columns.map((column, index) => {
     const head = el("th", {className: column.number ? "number" : "", scope: "col"});
-    if (!sortable) {
+    if (!sortable || column.label === "") {
       head.append(column.label);
       return head;
     }
@@ -111,6 +111,6 @@ function onWidth(element, draw) {
     const width = element.clientWidth;
     if (width > 0 && width !== last) draw(last = width);
   };
-  new ResizeObserver(update).observe(element);
+  new ResizeObserver(() => requestAnimationFrame(update)).observe(element);
   update();
 }

@@ -46,7 +46,8 @@ function makeViewer(pictures, images, errorRange) {
   const layers = el("div", {className: "layers", role: "group", "aria-label": "Shown on the right"});
   const caption = el("div", {className: "viewer-caption"});
   const film = el("div", {className: "film", role: "group", "aria-label": "Views"});
-  const viewer = {element: el("div", {}, el("div", {className: "viewer"}, compare, layers), caption, film), onShow: () => {}};
+  const stage = el("div", {className: "viewer"}, compare, layers);
+  const viewer = {element: el("div", {}, stage, caption, film), onShow: () => {}};
   let view = null, layer = "rendered", share = 0.5;
 
   const split = (value) => {
@@ -75,7 +76,7 @@ function makeViewer(pictures, images, errorRange) {
     frame.style.width = `${width * scale}px`;
     frame.style.height = `${height * scale}px`;
   };
-  new ResizeObserver(fit).observe(compare);
+  new ResizeObserver(() => requestAnimationFrame(fit)).observe(compare);
 
   const showCaption = () => {
     const image = images[view.image];
@@ -108,6 +109,7 @@ function makeViewer(pictures, images, errorRange) {
       return button;
     }));
     for (const button of film.children) button.setAttribute("aria-pressed", button.dataset.image === String(index));
+    stage.classList.toggle("portrait", images[index].height > images[index].width);
     fit();
     showLayer(layer);
     viewer.onShow(index);
