@@ -64,8 +64,8 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options) {
       ->type_name("");
   add("--workspace,-w", options.workspace, "DIR", "Where everything goes (default: work/NAME)");
   add("--preset", options.preset, "NAME", "Size of the model and length of the training");
-  add("--budget", options.budget, "TIME", "Train the best model in this time: 90s, 10m, 1h");
-  add("--steps", options.steps, "N", "Training steps")->check(CheckPositive);
+  auto* budget = add("--budget", options.budget, "TIME", "Train the best model in this time: 90s, 10m, 1h");
+  add("--steps", options.steps, "N", "Training steps; not with --budget")->check(CheckPositive)->excludes(budget);
   add("--max-image-size", options.max_image_size, "PX", "Shrink photos whose longer side is larger")
       ->check(CheckPositive);
   add("--device", options.device, "NAME", "auto, cpu or cuda")->check(CheckDevice);
@@ -102,6 +102,9 @@ std::vector<BranchRequest> MakeBranches(const BranchOptions& options) {
       }
       Workspace::Marker marker = workspace.ReadMarker();
       request.capture = marker.capture;
+      // Steps and a budget exclude each other: the one given now replaces the other one given before.
+      if (given.contains("steps")) marker.options.erase("budget-seconds");
+      if (given.contains("budget-seconds")) marker.options.erase("steps");
       request.options.merge(marker.options);
     } else {
       request.capture = CapturePath(target);

@@ -125,12 +125,13 @@ TEST_F(DriverTest, RunsEveryStageOnceAndReusesAllOfThemAfterwards) {
 TEST_F(DriverTest, OptionGoesToItsStageAndMakesThatAndWhatFollowsStale) {
   RunFox({"--steps", "10"});
   Ran();
-  EXPECT_EQ(RunFox({"--steps", "20", "--budget", "1m"}).exit_code, 0);
+  EXPECT_EQ(RunFox({"--preset", "tiny", "--budget", "1m"}).exit_code, 0);
   EXPECT_THAT(Ran(), ElementsAre("train", "render", "eval"));
-  const Params expected = {{"steps", "20"}, {"budget-seconds", "60"}};
+  const Params expected = {{"preset", "tiny"}, {"budget-seconds", "60"}};
   EXPECT_EQ(ReadManifest(root_ / "work/train")->params, expected);
-  RunFox({"--steps", "20", "--budget", "60s", "--threads", "1"});
+  RunFox({"--preset", "tiny", "--budget", "60s", "--threads", "1"});
   EXPECT_THAT(Ran(), IsEmpty());
+  EXPECT_EQ(RunFox({"--steps", "20", "--budget", "1m"}).exit_code, 2);
 }
 
 TEST_F(DriverTest, WorkspaceStandsForItsCaptureAndLastOptions) {
@@ -140,6 +141,8 @@ TEST_F(DriverTest, WorkspaceStandsForItsCaptureAndLastOptions) {
   EXPECT_THAT(Ran(), IsEmpty());
   Nrff({"run", Path("work"), "--steps", "11"});
   EXPECT_THAT(Ran(), ElementsAre("train", "render", "eval"));
+  Nrff({"run", Path("work"), "--budget", "1m"});
+  EXPECT_EQ(ReadManifest(root_ / "work/train")->params, (Params{{"budget-seconds", "60"}}));
 }
 
 TEST_F(DriverTest, FromUntilAndForceChooseTheStages) {
