@@ -242,7 +242,6 @@ void AddFrames(const std::filesystem::path& file, std::optional<Split> split, So
       source.rejected.push_back({EscapePath(file_path), "named by " + EscapePath(file.filename()) + " but does not exist"});
       continue;
     }
-    pose.topRightCorner<3, 1>() /= applied.scale;
     SourceImage image{photo, split};
     if (!named_splits.empty()) {
       auto named = named_splits.find(file_path);

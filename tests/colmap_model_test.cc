@@ -1,7 +1,6 @@
 #include "sfm/colmap_model.h"
 
 #include <gmock/gmock.h>
-#include <unistd.h>
 
 #include <cmath>
 #include <cstdlib>
@@ -10,6 +9,7 @@
 
 #include "pipeline/error.h"
 #include "pipeline/files.h"
+#include "tests/temporary_directory.h"
 
 namespace nrff {
 namespace {
@@ -19,12 +19,6 @@ namespace fs = std::filesystem;
 
 class ColmapModelTest : public ::testing::Test {
  protected:
-  ColmapModelTest() {
-    std::string pattern = fs::temp_directory_path() / "nrff-colmap-XXXXXX";
-    dir_ = mkdtemp(pattern.data());
-  }
-  ~ColmapModelTest() override { fs::remove_all(dir_); }
-
   static ColmapModel SmallModel() {
     ColmapModel model;
     model.cameras[3] = {3, CameraModel::kOpenCV, 640, 480, {500.25, 501.5, 320, 240, 0.1, -0.05, 1e-3, -2e-17}};
@@ -86,7 +80,8 @@ class ColmapModelTest : public ::testing::Test {
     return {};
   }
 
-  fs::path dir_;
+  TemporaryDirectory holder_;
+  const fs::path dir_ = holder_.path();
 };
 
 TEST_F(ColmapModelTest, BinaryReadsBackAsWritten) {
