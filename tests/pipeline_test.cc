@@ -1,0 +1,227 @@
+// The whole pipeline with the real executables: a small posed capture, and photos that COLMAP has to pose.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+
+#include "pipeline/files.h"
+#include "pipeline/manifest.h"
+#include "tests/program.h"
+#include "tests/temporary_directory.h"
+#include "tests/test_photos.h"
+
+namespace nrff {
+namespace {
+
+namespace fs = std::filesystem;
+using testing::ElementsAre;
+
+struct Frame {
+  Eigen::Vector3d centre;
+  Eigen::Matrix3d rotation;  // world_from_camera
+};
+
+// By the photo's name without extension.
+std::map<std::string, Frame> ReadFrames(const fs::path& transforms) {
+  std::map<std::string, Frame> frames;
+  for (const Json& frame : ReadJson(transforms).at("frames")) {
+    Frame& read = frames[fs::path(frame.at("file_path").get<std::string>()).stem()];
+    for (int row = 0; row < 3; ++row) {
+      for (int column = 0; column < 3; ++column) read.rotation(row, column) = frame["transform_matrix"][row][column];
+      read.centre[row] = frame["transform_matrix"][row][3];
+    }
+  }
+  return frames;
+}
+
+class Pipeline : public testing::Test {
+ protected:
+  ProgramResult Nrff(std::vector<std::string> arguments) const {
+    arguments.insert(arguments.begin(), "nrff");
+    ProgramResult result = RunProgram(arguments);
+    EXPECT_EQ(result.exit_code, 0) << result.err;
+    return result;
+  }
+  Json NrffJson(std::vector<std::string> arguments) const {
+    arguments.emplace_back("--json");
+    return Json::parse(Nrff(std::move(arguments)).out);
+  }
+  Json Summary() const { return ReadJson(workspace_ / "report" / "summary.json"); }
+
+  TemporaryDirectory temporary_;
+  fs::path capture_ = temporary_.path() / "capture", workspace_ = temporary_.path() / "work";
+};
+
+// stage → state of the only capture in `nrff run --json` or the only workspace in `nrff status --json`.
+std::map<std::string, std::string> States(const Json& capture) {
+  std::map<std::string, std::string> states;
+  for (const Json& stage : capture.at("stages")) states[stage.at("stage")] = stage.at("state");
+  return states;
+}
+
+class PosedPipeline : public Pipeline {
+ protected:
+  void SetUp() override {
+    MakeExampleCapture(capture_, {"--posed", "--views", "17", "--width", "96", "--height", "72"});
+  }
+  std::vector<std::string> Run(std::vector<std::string> more = {}) const {
+    std::vector<std::string> arguments = {"run", capture_, "-w", workspace_, "--preset", "tiny", "--steps", "250"};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return arguments;
+  }
+};
+
+TEST_F(PosedPipeline, ScoresHeldOutViewsAndReportsAllOfIt) {
+  Nrff(Run());
+  const Json summary = Summary();
+  EXPECT_EQ(summary.at("status"), "complete");
+  // Above what the mean colour of the photos would score (about 13 dB), below what no short training reaches.
+  EXPECT_GT(summary.at("metrics").at("psnr"), 15);
+  EXPECT_LT(summary.at("metrics").at("psnr"), 45);
+  EXPECT_GT(summary.at("metrics").at("ssim"), 0.2);
+  EXPECT_LE(summary.at("metrics").at("ssim"), 1);
+  EXPECT_TRUE(summary.at("metrics").at("lpips").is_null());
+
+  EXPECT_EQ(summary.at("split").at("train"), 14);
+  EXPECT_EQ(summary.at("split").at("test"), 3);
+  EXPECT_EQ(summary.at("split").at("registered"), 17);
+  ASSERT_EQ(summary.at("images").size(), 3u);
+  double sum = 0;
+  for (const Json& image : summary.at("images")) {
+    sum += image.at("psnr").get<double>();
+    EXPECT_TRUE(fs::is_regular_file(workspace_ / image.at("rendered").get<std::string>()));
+    EXPECT_TRUE(fs::is_regular_file(workspace_ / image.at("truth").get<std::string>()));
+  }
+  EXPECT_EQ(summary.at("images")[0].at("name"), "IMG_0001.png");
+  EXPECT_NEAR(sum / 3, summary.at("metrics").at("psnr"), 1e-9);
+
+  std::vector<std::string> stages;
+  for (const Json& stage : summary.at("stages")) {
+    stages.push_back(stage.at("name"));
+    EXPECT_GT(stage.at("seconds"), 0);
+    EXPECT_GT(stage.at("peak_memory_bytes"), 1e6);
+    EXPECT_FALSE(stage.at("reused"));
+  }
+  EXPECT_THAT(stages, ElementsAre("ingest", "pose", "train", "render", "eval"));
+  std::map<std::string, bool> needed;
+  for (const Json& decision : summary.at("decisions")) {
+    needed[decision.at("feature")] = decision.at("needed");
+    for (const char* key : {"evidence", "threshold", "reason"}) EXPECT_TRUE(decision.at(key).is_string());
+  }
+  EXPECT_FALSE(needed.at("sfm"));
+  EXPECT_FALSE(needed.at("undistortion"));
+  EXPECT_EQ(summary.at("training").at("steps"), 250);
+  EXPECT_GT(summary.at("training").at("samples"), 250);
+  const Json& last = summary.at("training").at("curve").back();
+  for (const char* key : {"seconds", "steps", "samples", "psnr"}) EXPECT_TRUE(last.at(key).is_number()) << key;
+  EXPECT_TRUE(summary.contains("settings") && summary.at("versions").contains("nrff"));
+  EXPECT_GT(fs::file_size(workspace_ / "report" / "report.html"), 10'000u);
+}
+
+TEST_F(PosedPipeline, RunsAgainOnlyWhatItMust) {
+  Nrff(Run());
+  const Json again = NrffJson(Run()).at("captures")[0];
+  for (const auto& [stage, state] : States(again)) EXPECT_EQ(state, "reused") << stage;
+
+  // A photo saved anew with the same pixels: ingest runs again, but what depends on the photo's bytes alone does not
+  // spread further than it must; a file that is no photo changes nothing at all.
+  const std::string train = ReadManifest(workspace_ / "train")->ContentHash();
+  { WriteFileAtomically(capture_ / "notes.txt", "not part of the capture"); }
+  auto states = States(NrffJson(Run()).at("captures")[0]);
+  EXPECT_EQ(states.at("ingest"), "ran");
+  for (const char* stage : {"pose", "train", "render", "eval"}) EXPECT_EQ(states.at(stage), "reused") << stage;
+  EXPECT_EQ(ReadManifest(workspace_ / "train")->ContentHash(), train);
+
+  states = States(NrffJson(Run({"--from", "render"})).at("captures")[0]);
+  EXPECT_EQ(states.at("train"), "reused");
+  EXPECT_EQ(states.at("render"), "ran");
+}
+
+TEST_F(PosedPipeline, UntilStopsAndStatusAndPlanSayWhatIsLeft) {
+  const Json plan = NrffJson({"plan", capture_, "-w", workspace_});
+  EXPECT_FALSE(fs::exists(workspace_)) << "plan wrote something";
+  EXPECT_FALSE(plan.empty());
+
+  Nrff(Run({"--until", "pose"}));
+  EXPECT_TRUE(ReadManifest(workspace_ / "pose").has_value());
+  EXPECT_FALSE(fs::exists(workspace_ / "train"));
+  auto states = States(NrffJson({"status", workspace_}).at("workspaces")[0]);
+  EXPECT_EQ(states.at("pose"), "done");
+  EXPECT_EQ(states.at("train"), "stale");
+
+  Nrff(Run());
+  states = States(NrffJson({"status", workspace_}).at("workspaces")[0]);
+  for (const auto& [stage, state] : states) EXPECT_EQ(state, "done") << stage;
+
+  const fs::path frames = temporary_.path() / "orbit";
+  Nrff({"render", workspace_, "--path", "orbit", "--frames", "5", "-o", frames});
+  EXPECT_EQ(ListFiles(frames).size(), 5u);
+
+  const ProgramResult scores = Nrff({"eval", workspace_});
+  EXPECT_THAT(scores.out, testing::HasSubstr("IMG_0001.png"));
+}
+
+TEST_F(PosedPipeline, SeveralCapturesShareOneRunAndAJointReport) {
+  const fs::path other = temporary_.path() / "other";
+  MakeExampleCapture(other, {"--posed", "--views", "9", "--width", "64", "--height", "48", "--seed", "2"});
+  const Json result = NrffJson({"run", capture_, other, "-w", workspace_, "--preset", "tiny", "--steps", "50"});
+  ASSERT_EQ(result.at("captures").size(), 2u);
+  for (const Json& capture : result.at("captures")) EXPECT_GT(capture.at("metrics").at("psnr"), 5);
+  EXPECT_TRUE(fs::exists(workspace_ / "report" / "report.html"));
+  EXPECT_TRUE(fs::exists(workspace_ / "other" / "report" / "summary.json"));
+}
+
+class PhotoPipeline : public Pipeline {
+ protected:
+  void SetUp() override {
+    if (RunProgram({"/bin/sh", "-c", "command -v colmap"}).exit_code != 0) GTEST_SKIP() << "colmap is not installed";
+  }
+};
+
+TEST_F(PhotoPipeline, ColmapFindsThePosesThatThePhotosWereTakenFrom) {
+  MakeExampleCapture(capture_, {"--views", "12", "--width", "400", "--height", "300"});
+  Nrff({"run", capture_ / "photos", "-w", workspace_, "--until", "pose"});
+  const Json facts = ReadManifest(workspace_ / "sfm")->facts;
+  EXPECT_EQ(facts.at("n_registered"), 12);
+  EXPECT_LT(facts.at("reprojection_error_px"), 1);
+
+  const auto truth = ReadFrames(capture_ / "truth" / "transforms.json");
+  const auto found = ReadFrames(workspace_ / "pose" / "transforms.json");
+  ASSERT_EQ(found.size(), truth.size());
+  Eigen::Matrix3Xd truth_centres(3, truth.size()), found_centres(3, truth.size());
+  Eigen::Index i = 0;
+  for (const auto& [name, frame] : truth) {
+    truth_centres.col(i) = frame.centre;
+    found_centres.col(i++) = found.at(name).centre;
+  }
+  const Eigen::Matrix4d truth_from_found = Eigen::umeyama(found_centres, truth_centres);
+  const double scale = truth_from_found.topLeftCorner<3, 3>().colwise().norm()[0];
+  for (const auto& [name, frame] : truth) {
+    const Eigen::Vector3d centre = (truth_from_found * found.at(name).centre.homogeneous()).head<3>();
+    // The orbit's radius is 3.
+    EXPECT_LT((centre - frame.centre).norm(), 0.03) << name;
+    const Eigen::Matrix3d rotation = truth_from_found.topLeftCorner<3, 3>() / scale * found.at(name).rotation;
+    EXPECT_LT(Eigen::AngleAxisd(rotation.transpose() * frame.rotation).angle(), 0.01) << name;
+  }
+}
+
+TEST_F(PhotoPipeline, OddNamesLinkLoopsAndAReadOnlyFolderDoNotMatter) {
+  MakeExampleCapture(capture_, {"--views", "12", "--width", "400", "--height", "300"});
+  const fs::path photos = capture_ / "photos";
+  const std::vector<std::string> names = {"a b.jpg", "c\nd.jpg", "e\"f'.jpg", "g\xff\xfe.jpg", "-h.jpg", "i%20.jpg"};
+  for (size_t i = 0; i < names.size(); ++i) {
+    fs::rename(photos / ("IMG_000" + std::to_string(i + 1) + ".jpg"), photos / names[i]);
+  }
+  fs::create_directory_symlink(".", photos / "again");
+  fs::permissions(photos, fs::perms(0555));
+  const std::string before = HashTree(photos);
+  Nrff({"run", photos, "-w", workspace_, "--until", "pose"});
+  EXPECT_EQ(ReadManifest(workspace_ / "sfm")->facts.at("n_registered"), 12);
+  EXPECT_EQ(HashTree(photos), before);
+  fs::permissions(photos, fs::perms(0755));
+}
+
+}  // namespace
+}  // namespace nrff
