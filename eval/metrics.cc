@@ -44,10 +44,11 @@ void CheckPair(const RgbImage& truth, const RgbImage& rendered) {
 }
 
 std::array<double, kSsimWindow> GaussianWeights() {
+  constexpr int kRadius = kSsimWindow / 2;
   std::array<double, kSsimWindow> weights{};
   double sum = 0;
   for (int i = 0; i < kSsimWindow; ++i) {
-    const double distance = (i - kSsimWindow / 2) / kSsimSigma;
+    const double distance = (i - kRadius) / kSsimSigma;
     sum += weights[i] = std::exp(-0.5 * distance * distance);
   }
   for (double& weight : weights) weight /= sum;

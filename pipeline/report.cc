@@ -64,9 +64,8 @@ void WriteReport(const fs::path& workspace) {
   const Json pictures = PartOrWarning(summary, [&] { return Pictures(state, summary["images"]); });
   const Json geometry = PartOrWarning(summary, [&] { return Geometry(state); });
   WriteJson(artifact.dir() / "summary.json", summary);
-  WriteFileAtomically(artifact.dir() / "report.html",
-                      FillPage("report.html", state.name,
-                               {{"summary", summary}, {"facts", Facts(state)}, {"pictures", pictures}, {"geometry", geometry}}));
+  const Json page = {{"summary", summary}, {"facts", Facts(state)}, {"pictures", pictures}, {"geometry", geometry}};
+  WriteFileAtomically(artifact.dir() / "report.html", FillPage("report.html", state.name, page));
   artifact.AddOutput("summary.json");
   artifact.AddOutput("report.html");
   artifact.facts() = {{"status", summary["status"]}, {"failure", summary["failure"]}};

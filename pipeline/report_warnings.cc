@@ -75,7 +75,7 @@ Json Warnings(const WorkspaceState& state) {
   }
   if (const int n_identical = Count(eval, "n_identical"); n_identical > 0) {
     warnings.push_back({{"kind", "identical images"},
-                        {"text", fmt::format("{} rendered view{} identical to the photo: infinite PSNR, left out of the mean.",
+                        {"text", fmt::format("{} rendered view{} identical to the photo: infinite PSNR, not in the mean.",
                                              n_identical, n_identical == 1 ? " is" : "s are")},
                         {"items", Json::array()}});
   }
@@ -85,7 +85,8 @@ Json Warnings(const WorkspaceState& state) {
   if (!rejected.empty()) {
     Json items = Json::array();
     for (const Json& photo : rejected) items.push_back(Text(At(photo, "name")) + ": " + Text(At(photo, "reason")));
-    warnings.push_back({{"kind", "rejected photos"}, {"text", Photos(rejected.size()) + " could not be used."}, {"items", items}});
+    const std::string text = Photos(rejected.size()) + " could not be used.";
+    warnings.push_back({{"kind", "rejected photos"}, {"text", text}, {"items", items}});
   }
   const Json& duplicates = At(ingest, "duplicates");
   if (!duplicates.empty()) {
