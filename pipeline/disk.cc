@@ -16,16 +16,6 @@ bool MadeByNewerProgram(const fs::path& manifest_path) {
   }
 }
 
-std::string MissingPayload(const fs::path& artifact, const Manifest& manifest) {
-  for (const HashedPath& output : manifest.outputs) {
-    std::error_code error;
-    const uint64_t size_bytes = fs::file_size(artifact / UnescapePath(output.path), error);
-    if (error) return "has lost " + output.path;
-    if (size_bytes != output.size_bytes) return "has a " + output.path + " of another size than was written";
-  }
-  return {};
-}
-
 }  // namespace
 
 ArtifactState RealDisk::ReadArtifact(const fs::path& artifact) {
@@ -44,8 +34,11 @@ ArtifactState RealDisk::ReadArtifact(const fs::path& artifact) {
     state.problem = fs::exists(partial, ignored) ? "was begun but not finished" : "has not been made";
     return state;
   }
-  state.problem = MissingPayload(artifact, *state.manifest);
-  if (!state.problem.empty()) state.manifest.reset();
+  const std::string damage = PayloadDamage(artifact, *state.manifest);
+  if (!damage.empty()) {
+    state.problem = "is damaged: " + artifact.filename().string() + damage;
+    state.manifest.reset();
+  }
   return state;
 }
 

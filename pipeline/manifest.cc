@@ -113,6 +113,18 @@ std::optional<Manifest> ReadManifest(const fs::path& artifact_dir) {
   }
 }
 
+std::string PayloadDamage(const fs::path& artifact_dir, const Manifest& manifest) {
+  for (const HashedPath& output : manifest.outputs) {
+    std::error_code error;
+    const uint64_t size = fs::file_size(artifact_dir / UnescapePath(output.path), error);
+    if (error) return "/" + output.path + " is missing";
+    if (size != output.size_bytes) {
+      return "/" + output.path + " has " + std::to_string(size) + " bytes instead of " + std::to_string(output.size_bytes);
+    }
+  }
+  return {};
+}
+
 Manifest RequireArtifact(const fs::path& artifact_dir, const std::string& kind) {
   std::optional<Manifest> manifest = ReadManifest(artifact_dir);
   if (!manifest) {
@@ -122,15 +134,9 @@ Manifest RequireArtifact(const fs::path& artifact_dir, const std::string& kind) 
   if (manifest->kind != kind) {
     throw InputError(EscapePath(artifact_dir) + " is an artifact of the stage " + manifest->kind + ", expected one of " + kind);
   }
-  for (const HashedPath& output : manifest->outputs) {
-    const fs::path file = artifact_dir / UnescapePath(output.path);
-    std::error_code error;
-    const uint64_t size = fs::file_size(file, error);
-    if (error || size != output.size_bytes) {
-      throw CorruptError(EscapePath(file) + (error ? " is missing" : " has " + std::to_string(size) + " bytes instead of " +
-                                                                         std::to_string(output.size_bytes)) +
-                         ": run the " + kind + " stage again with --force");
-    }
+  const std::string damage = PayloadDamage(artifact_dir, *manifest);
+  if (!damage.empty()) {
+    throw CorruptError(EscapePath(artifact_dir) + damage + ": run the " + kind + " stage again with --force");
   }
   return *manifest;
 }

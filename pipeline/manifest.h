@@ -55,6 +55,10 @@ void from_json(const Json& json, Manifest& value);
 // Nothing when there is no manifest; throws CorruptError when there is one that cannot be read or is too new.
 std::optional<Manifest> ReadManifest(const std::filesystem::path& artifact_dir);
 
+// What is wrong with the payload files the manifest names (missing, another size), to be read after the artifact's
+// path: "/model.safetensors is missing". Empty when they are as written.
+std::string PayloadDamage(const std::filesystem::path& artifact_dir, const Manifest& manifest);
+
 // As ReadManifest, but absence or another kind is an InputError that says which stage to run; checks that the payload
 // files are there with their sizes.
 Manifest RequireArtifact(const std::filesystem::path& artifact_dir, const std::string& kind);

@@ -149,14 +149,7 @@ fs::path CapturePath(const fs::path& given) {
 }
 
 std::string CaptureName(const fs::path& capture) {
-  std::error_code error;
-  fs::path name = capture.filename();
-  if (fs::is_regular_file(capture, error)) {  // a poses file is better known by its folder's name
-    name = capture.parent_path().filename();
-    name += "-";
-    name += capture.stem();
-  }
-  std::string safe = EscapePath(name);
+  std::string safe = EscapePath(capture.filename());
   std::replace_if(safe.begin(), safe.end(), [](char c) { return std::strchr(" %/\\:*?\"'<>|", c) != nullptr; }, '_');
   safe.erase(0, safe.find_first_not_of(".-"));
   return safe.empty() ? "capture" : safe;

@@ -364,9 +364,6 @@ TEST(WorkspaceTest, NamesAreSafeAndOneForEachCapture) {
   EXPECT_EQ(CaptureName("/a/.hidden"), "hidden");
   EXPECT_EQ(CaptureName("/a/\xFF\n"), "_FF_0A");
   EXPECT_EQ(CaptureName("/"), "capture");
-  fs::create_directories(root / "fox");
-  WriteFileAtomically(root / "fox/transforms.json", "{}");
-  EXPECT_EQ(CaptureName(root / "fox/transforms.json"), "fox-transforms");
 
   EXPECT_EQ(WorkspaceFor("/a/report", root / "work", {}).root(), root / "work/report-2");
   const Workspace first = WorkspaceFor("/a/fox", root / "work", {});
