@@ -1,0 +1,71 @@
+#include "sfm/colmap_database.h"
+
+#include <sqlite3.h>
+
+#include <functional>
+
+#include "pipeline/error.h"
+#include "pipeline/files.h"
+
+namespace nrff {
+namespace {
+
+constexpr int64_t kMaxImages = 2147483647;  // pair_id = kMaxImages · smaller id + larger id (src/base/database.cc of 3.8)
+
+class Connection {
+ public:
+  explicit Connection(const std::filesystem::path& file) : file_(file) {
+    // Read-write: an interrupted COLMAP may have left a journal that has to be rolled back.
+    if (sqlite3_open_v2(file.c_str(), &database_, SQLITE_OPEN_READWRITE, nullptr) != SQLITE_OK) {
+      const std::string reason = sqlite3_errmsg(database_);
+      sqlite3_close(database_);
+      throw Failure(reason);
+    }
+  }
+  ~Connection() { sqlite3_close(database_); }
+  Connection(const Connection&) = delete;
+  Connection& operator=(const Connection&) = delete;
+
+  void ForEachRow(const char* query, const std::function<void(sqlite3_stmt*)>& row) {
+    sqlite3_stmt* statement = nullptr;
+    int status = sqlite3_prepare_v2(database_, query, -1, &statement, nullptr);
+    while (status == SQLITE_OK || status == SQLITE_ROW) {
+      status = sqlite3_step(statement);
+      if (status == SQLITE_ROW) row(statement);
+    }
+    const std::string reason = sqlite3_errmsg(database_);
+    sqlite3_finalize(statement);
+    if (status != SQLITE_DONE) throw Failure(reason);
+  }
+
+ private:
+  Error Failure(const std::string& reason) const {
+    return CorruptError("cannot read COLMAP's database " + EscapePath(file_) + ": " + reason + "; remove it and run again");
+  }
+  std::filesystem::path file_;
+  sqlite3* database_ = nullptr;
+};
+
+}  // namespace
+
+ColmapDatabase ReadColmapDatabase(const std::filesystem::path& file) {
+  ColmapDatabase result;
+  if (!std::filesystem::exists(file)) return result;
+  Connection connection(file);
+  connection.ForEachRow(
+      "SELECT images.image_id, name, camera_id, keypoints.rows FROM images LEFT JOIN keypoints"
+      " ON keypoints.image_id = images.image_id",
+      [&](sqlite3_stmt* row) {
+        const bool extracted = sqlite3_column_type(row, 3) != SQLITE_NULL;
+        result.images[uint32_t(sqlite3_column_int64(row, 0))] = {
+            reinterpret_cast<const char*>(sqlite3_column_text(row, 1)), uint32_t(sqlite3_column_int64(row, 2)),
+            extracted ? sqlite3_column_int(row, 3) : -1};
+      });
+  connection.ForEachRow("SELECT pair_id, rows FROM two_view_geometries", [&](sqlite3_stmt* row) {
+    const int64_t pair = sqlite3_column_int64(row, 0);
+    result.verified_matches[{uint32_t(pair / kMaxImages), uint32_t(pair % kMaxImages)}] = sqlite3_column_int(row, 1);
+  });
+  return result;
+}
+
+}  // namespace nrff

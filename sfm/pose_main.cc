@@ -1,0 +1,101 @@
+// nrff-pose estimate | normalise
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <filesystem>
+#include <map>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "pipeline/error.h"
+#include "pipeline/manifest.h"
+#include "pipeline/stage.h"
+#include "sfm/capture.h"
+#include "sfm/estimate.h"
+#include "sfm/scene_pack.h"
+
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Common {
+  fs::path ingest, out;
+  int n_threads = std::max(1, int(std::thread::hardware_concurrency()));
+};
+
+void AddCommon(CLI::App& app, Common& common) {
+  app.add_option("--ingest", common.ingest, "Artifact of nrff-ingest")->required();
+  app.add_option("--out", common.out, "Artifact to write")->required();
+  app.add_option("--threads", common.n_threads, "Threads to use")->check(CLI::Range(1, 1024))->capture_default_str();
+  nrff::AddVerbosity(app);
+}
+
+// An option that is decided from the capture unless it is forced: auto, or one of two words for needed and not needed.
+CLI::Option* AddForced(CLI::App& app, const std::string& name, std::optional<bool>& value, const std::string& needed,
+                       const std::string& not_needed, const std::string& help) {
+  return app
+      .add_option_function<std::string>(
+          name, [&value, needed](const std::string& text) { value = text == "auto" ? std::nullopt : std::optional(text == needed); }, help)
+      ->check(CLI::IsMember({"auto", needed.c_str(), not_needed.c_str()}))
+      ->default_str("auto")
+      ->group(nrff::kParameterGroup);
+}
+
+nrff::HashedPath Input(const fs::path& dir, const std::string& kind) {
+  return nrff::ArtifactInput(dir, nrff::RequireArtifact(dir, kind));
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app("Camera poses: estimated from the photos, then normalised and packed for training.", "nrff-pose");
+  app.set_version_flag("--version", nrff::Version());
+  app.require_subcommand(1);
+  Common common;
+
+  CLI::App* estimate = app.add_subcommand(
+      "estimate", "Estimates the poses with COLMAP.\nExample: nrff-pose estimate --ingest work/photos/ingest --out work/photos/sfm");
+  AddCommon(*estimate, common);
+  nrff::EstimateOptions estimation;
+  estimate->add_option("--seed", estimation.seed, "Seed of COLMAP's random choices")->capture_default_str()->group(nrff::kParameterGroup);
+  estimate->add_option("--stall-limit", estimation.stall_limit_seconds, "Seconds after which a silent, idle COLMAP is stopped")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  AddForced(*estimate, "--matching", estimation.exhaustive, "exhaustive", "sequential", "Which pairs of photos are matched");
+
+  CLI::App* normalise = app.add_subcommand(
+      "normalise",
+      "Normalises the poses, undistorts and packs the photos.\nExample: nrff-pose normalise --ingest work/photos/ingest --sfm"
+      " work/photos/sfm --out work/photos/pose");
+  AddCommon(*normalise, common);
+  nrff::PoseOptions pose;
+  fs::path sfm;
+  normalise->add_option("--sfm", sfm, "Artifact of `nrff-pose estimate`; default: the poses that the capture brought");
+  normalise->add_option("--max-image-size", pose.max_image_size, "Longer side of the packed photos, px")
+      ->check(CLI::Range(16, 65536))
+      ->capture_default_str()
+      ->group(nrff::kParameterGroup);
+  AddForced(*normalise, "--undistortion", pose.undistortion, "on", "off", "Resample the photos to pinhole images");
+  AddForced(*normalise, "--contraction", pose.contraction, "on", "off", "Contract what is outside the foreground box");
+
+  return nrff::StageMain(app, argc, argv, [&] {
+    if (estimate->parsed()) {
+      estimation.n_threads = common.n_threads;
+      nrff::ArtifactWriter artifact("sfm", common.out, nrff::GivenParams(*estimate), {Input(common.ingest, "ingest")},
+                                    nrff::ArtifactWriter::kKeepPartial);
+      nrff::EstimatePoses(common.ingest, estimation, artifact);
+      artifact.Commit();
+      return;
+    }
+    pose.n_threads = common.n_threads;
+    std::vector<nrff::HashedPath> inputs = {Input(common.ingest, "ingest")};
+    if (sfm.empty() && !nrff::LoadCapture(common.ingest).posed) {
+      throw nrff::UsageError("the capture brings no poses: name the artifact of `nrff-pose estimate` with --sfm");
+    }
+    if (!sfm.empty()) inputs.push_back(Input(sfm, "sfm"));
+    nrff::ArtifactWriter artifact("pose", common.out, nrff::GivenParams(*normalise), inputs);
+    nrff::WriteScene(common.ingest, (sfm.empty() ? common.ingest : sfm) / nrff::kGivenModelDir, pose, artifact);
+    artifact.Commit();
+  });
+}

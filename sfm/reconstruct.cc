@@ -1,0 +1,237 @@
+#include "sfm/reconstruct.h"
+
+#include <algorithm>
+#include <charconv>
+#include <chrono>
+#include <fstream>
+#include <map>
+#include <optional>
+#include <set>
+
+#include "pipeline/error.h"
+#include "pipeline/files.h"
+#include "pipeline/progress.h"
+#include "sfm/working_photos.h"
+
+namespace nrff {
+namespace {
+
+namespace fs = std::filesystem;
+using Clock = std::chrono::steady_clock;
+
+double SecondsSince(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
+
+// The number that follows `marker` in a line COLMAP printed.
+std::optional<int> NumberAfter(std::string_view line, std::string_view marker) {
+  const size_t at = line.find(marker);
+  if (at == std::string_view::npos) return {};
+  int number = 0;
+  const char* begin = line.data() + at + marker.size();
+  const auto [end, error] = std::from_chars(begin, line.data() + line.size(), number);
+  if (error != std::errc()) return {};
+  return number;
+}
+
+std::optional<int> FirstOf(std::string_view line, std::initializer_list<std::string_view> markers) {
+  for (const std::string_view marker : markers) {
+    if (const auto number = NumberAfter(line, marker)) return number;
+  }
+  return {};
+}
+
+std::string Number(double value) { return Json(value).dump(); }
+
+class Reconstruction {
+ public:
+  Reconstruction(const Capture& capture, const SfmSettings& settings, Colmap& colmap, fs::path dir, const ArtifactWriter& artifact)
+      : capture_(capture), settings_(settings), colmap_(colmap), dir_(std::move(dir)), artifact_(artifact) {}
+
+  Attempt Run() {
+    Attempt attempt;
+    attempt.settings = settings_;
+    fs::create_directories(dir_);
+    WriteWorkingPhotos(capture_, settings_.max_image_size, settings_.n_threads, photos_);
+    artifact_.SaveSeconds();
+    ExtractFeatures(attempt);
+    artifact_.SaveSeconds();
+    MatchPairs(attempt);
+    artifact_.SaveSeconds();
+    Map(attempt);
+    artifact_.SaveSeconds();
+    return attempt;
+  }
+
+ private:
+  Colmap::Options Common() const {
+    return {{"random_seed", std::to_string(settings_.seed)}, {"database_path", database_.native()}};
+  }
+  std::string Threads() const { return std::to_string(settings_.n_threads); }
+
+  // Photos of a camera group that still have no features.
+  std::map<int, std::vector<const CaptureImage*>> PendingGroups(const ColmapDatabase& database) const {
+    std::set<std::string> extracted;
+    for (const auto& [id, image] : database.images) {
+      if (image.n_keypoints >= 0) extracted.insert(image.name);
+    }
+    std::map<int, std::vector<const CaptureImage*>> groups;
+    for (const CaptureImage& photo : capture_.images) {
+      if (!extracted.count(WorkingPhotoName(photo))) groups[photo.camera].push_back(&photo);
+    }
+    return groups;
+  }
+
+  // One camera for each group. The focal length that the photos give is where COLMAP starts from.
+  void ExtractFeatures(Attempt& attempt) {
+    const auto start = Clock::now();
+    const ColmapDatabase database = ReadColmapDatabase(database_);
+    const auto groups = PendingGroups(database);
+    Progress progress("features", double(capture_.images.size()), "photos");
+    size_t n_done = capture_.images.size();
+    for (const auto& [camera, photos] : groups) n_done -= photos.size();
+    for (const auto& [camera, photos] : groups) {
+      std::string list;
+      for (const CaptureImage* photo : photos) list += WorkingPhotoName(*photo) + "\n";
+      const fs::path list_file = dir_ / "photos.txt";
+      WriteFileAtomically(list_file, list);
+      Colmap::Options options = Common();
+      options.insert(options.end(), {{"image_path", photos_.native()},
+                                     {"image_list_path", list_file.native()},
+                                     {"ImageReader.single_camera", "1"},
+                                     {"ImageReader.camera_model", "SIMPLE_RADIAL"},
+                                     {"SiftExtraction.use_gpu", "0"},
+                                     {"SiftExtraction.num_threads", Threads()},
+                                     {"SiftExtraction.max_num_features", std::to_string(settings_.max_features)},
+                                     {"SiftExtraction.first_octave", std::to_string(settings_.first_octave)}});
+      if (settings_.peak_threshold > 0) options.emplace_back("SiftExtraction.peak_threshold", Number(settings_.peak_threshold));
+      if (const auto id = CameraOf(database, camera)) {
+        options.emplace_back("ImageReader.existing_camera_id", std::to_string(*id));
+      } else if (const std::string params = CameraParams(photos.front()->info); !params.empty()) {
+        options.emplace_back("ImageReader.camera_params", params);
+      }
+      colmap_.RunOrThrow("feature_extractor", options, 600 + 60 * double(photos.size()), [&](std::string_view line) {
+        if (const auto n = FirstOf(line, {"Processed file [", "Processed image ["})) progress.Update(double(n_done) + *n);
+      });
+      n_done += photos.size();
+    }
+    progress.Done();
+    attempt.seconds_features = SecondsSince(start);
+  }
+
+  static std::optional<uint32_t> CameraOf(const ColmapDatabase& database, int group) {
+    const std::string folder = std::to_string(group) + "/";
+    for (const auto& [id, image] : database.images) {
+      if (image.name.starts_with(folder)) return image.camera_id;
+    }
+    return {};
+  }
+
+  std::string CameraParams(const ImageInfo& info) const {
+    if (!info.focal_px) return {};
+    const auto [width, height] = WorkingSize(info.width, info.height, settings_.max_image_size);
+    const double focal = *info.focal_px * std::max(width, height) / std::max(info.width, info.height);
+    return Number(focal) + "," + Number(width / 2.0) + "," + Number(height / 2.0) + ",0";
+  }
+
+  // In batches, so that progress shows and an interruption costs little.
+  void MatchPairs(Attempt& attempt) {
+    const auto start = Clock::now();
+    const std::vector<ImagePair> pairs = ChoosePairs(int(capture_.images.size()), settings_);
+    attempt.n_pairs = pairs.size();
+    const ColmapDatabase before = ReadColmapDatabase(database_);
+    CheckExtracted(before);
+    std::map<std::string, uint32_t> ids;
+    for (const auto& [id, image] : before.images) ids[image.name] = id;
+    std::vector<std::string> pending;
+    for (const auto& [first, second] : pairs) {
+      const std::string a = WorkingPhotoName(capture_.images[size_t(first)]), b = WorkingPhotoName(capture_.images[size_t(second)]);
+      if (!before.verified_matches.count(std::minmax({ids.at(a), ids.at(b)}))) pending.push_back(a + " " + b + "\n");
+    }
+    const size_t batch = std::clamp<size_t>(pairs.size() / 20, 20, 400);
+    Progress progress("matching", double(pairs.size()), "pairs");
+    for (size_t done = 0; done < pending.size();) {
+      const size_t n = std::min(batch, pending.size() - done);
+      std::string list;
+      for (size_t i = done; i < done + n; ++i) list += pending[i];
+      const fs::path list_file = dir_ / "pairs.txt";
+      WriteFileAtomically(list_file, list);
+      Colmap::Options options = Common();
+      options.insert(options.end(), {{"match_list_path", list_file.native()},
+                                     {"match_type", "pairs"},
+                                     {"SiftMatching.use_gpu", "0"},
+                                     {"SiftMatching.num_threads", Threads()}});
+      colmap_.RunOrThrow("matches_importer", options, 600 + 60 * double(n));
+      done += n;
+      progress.Update(double(pairs.size() - pending.size() + done));
+    }
+    progress.Done();
+    attempt.database = ReadColmapDatabase(database_);
+    attempt.seconds_matching = SecondsSince(start);
+  }
+
+  void CheckExtracted(const ColmapDatabase& database) const {
+    if (database.images.size() == capture_.images.size()) return;
+    throw ExternalToolError("colmap feature_extractor took " + std::to_string(database.images.size()) + " of " +
+                            std::to_string(capture_.images.size()) + " photos; its log is " +
+                            EscapePath(artifact_.dir() / "colmap.log"));
+  }
+
+  void Map(Attempt& attempt) {
+    const auto start = Clock::now();
+    const fs::path models = dir_ / "models", finished = dir_ / "models.finished";
+    if (!fs::exists(finished)) {
+      fs::remove_all(models);
+      fs::create_directories(models);
+      RunMapper(models);
+      WriteFileAtomically(finished, "");
+    }
+    for (const auto& entry : fs::directory_iterator(models)) {
+      if (entry.is_directory() && fs::exists(entry.path() / "images.bin")) attempt.models.push_back(ReadColmapModel(entry.path()));
+    }
+    attempt.seconds_mapping = SecondsSince(start);
+  }
+
+  void RunMapper(const fs::path& models) {
+    Colmap::Options options = Common();
+    options.insert(options.end(), {{"image_path", photos_.native()},
+                                   {"output_path", models.native()},
+                                   {"Mapper.num_threads", Threads()},
+                                   {"Mapper.min_model_size", "3"}});
+    if (settings_.tolerant_mapping) {
+      options.insert(options.end(), {{"Mapper.init_min_tri_angle", "8"},
+                                     {"Mapper.init_min_num_inliers", "50"},
+                                     {"Mapper.abs_pose_min_num_inliers", "20"}});
+    }
+    Progress progress("mapping", double(capture_.images.size()), "photos");
+    bool no_model = false;
+    const double limit_seconds = 1800 + 120 * double(capture_.images.size());
+    const ProcessResult result = colmap_.Run("mapper", options, limit_seconds, [&](std::string_view line) {
+      no_model |= line.find("failed to create") != std::string_view::npos;
+      // "Registering image #12 (5)", "… (num_reg_frames=5)": the fifth
+      if (line.find("Registering image #") != std::string_view::npos) {
+        if (const auto n = FirstOf(line.substr(std::min(line.find('('), line.size())), {"(", "="})) progress.Update(*n);
+      }
+    });
+    if (!result.Succeeded() && !(result.end == ProcessResult::End::kExited && no_model)) colmap_.Fail("mapper", result);
+    progress.Done();
+  }
+
+  const Capture& capture_;
+  const SfmSettings& settings_;
+  Colmap& colmap_;
+  const fs::path dir_;
+  const ArtifactWriter& artifact_;
+  const fs::path database_ = dir_ / "database.db", photos_ = dir_ / "photos";
+};
+
+}  // namespace
+
+std::vector<ImagePair> ChoosePairs(int n_images, const SfmSettings& settings) {
+  return settings.exhaustive ? AllPairs(n_images) : SequentialPairs(n_images, settings.n_neighbours);
+}
+
+Attempt Reconstruct(const Capture& capture, const SfmSettings& settings, Colmap& colmap, const fs::path& dir,
+                    const ArtifactWriter& artifact) {
+  return Reconstruction(capture, settings, colmap, dir, artifact).Run();
+}
+
+}  // namespace nrff

@@ -1,0 +1,48 @@
+// One attempt at a reconstruction: working photos, features, matching of chosen pairs, incremental mapping.
+//
+// Everything is kept below the attempt's folder and used again by an attempt that goes on from it: photos already
+// scaled, features already extracted, pairs already matched, a reconstruction already finished.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "pipeline/manifest.h"
+#include "sfm/capture.h"
+#include "sfm/colmap_database.h"
+#include "sfm/colmap_model.h"
+#include "sfm/colmap_runner.h"
+#include "sfm/image_pairs.h"
+
+namespace nrff {
+
+struct SfmSettings {
+  std::string name;             // of the attempt's folder
+  int max_image_size = 1000;    // px, longer side
+  int max_features = 2048;      // per photo
+  int first_octave = 0;         // −1: features are searched in the photo doubled in size, too
+  double peak_threshold = 0;    // of features' contrast; 0: COLMAP's default
+  bool exhaustive = false;      // all pairs
+  int n_neighbours = 6;         // otherwise: each photo with this many next ones, and with some further on
+  bool tolerant_mapping = false;  // place photos by fewer matches and smaller parallax
+  uint64_t seed = 0;
+  int n_threads = 1;
+};
+
+struct Attempt {
+  SfmSettings settings;
+  std::vector<ColmapModel> models;  // of the working photos; may be none
+  ColmapDatabase database;                 // after matching
+  size_t n_pairs = 0;
+  double seconds_features = 0, seconds_matching = 0, seconds_mapping = 0;
+};
+
+std::vector<ImagePair> ChoosePairs(int n_images, const SfmSettings& settings);
+
+// Throws what Colmap throws; a mapper that finds no model is no failure.
+Attempt Reconstruct(const Capture& capture, const SfmSettings& settings, Colmap& colmap, const std::filesystem::path& dir,
+                    const ArtifactWriter& artifact);
+
+}  // namespace nrff

@@ -1,0 +1,24 @@
+// The small copies of the photos that COLMAP works on: oriented, scaled, one folder for each camera group.
+#pragma once
+
+#include <filesystem>
+#include <string>
+
+#include "sfm/capture.h"
+
+namespace nrff {
+
+// "CAMERA/ID.jpg": the copy's path, relative to the folder; also its name in COLMAP's database and models.
+std::string WorkingPhotoName(const CaptureImage& photo);
+// The id in such a name.
+std::string IdOfWorkingPhoto(const std::string& name);
+
+// Writes the copies that are not there yet, each atomically, as RGB JPEGs (quality 95, no chroma subsampling) whose longer
+// side is at most `max_size` px; transparent pixels show the capture's background (black where it has none). Throws
+// InputError when a photo changed since it was ingested, ResourceError when a copy cannot be written.
+void WriteWorkingPhotos(const Capture& capture, int max_size, int n_threads, const std::filesystem::path& dir);
+
+// Size of the copy of a photo of width × height.
+std::pair<int, int> WorkingSize(int width, int height, int max_size);
+
+}  // namespace nrff
