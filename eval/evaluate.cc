@@ -81,6 +81,7 @@ template <typename Work>
 void ForEachIndex(size_t n, int n_threads, const Work& work) {
   std::atomic<size_t> next{0};
   std::vector<std::future<void>> workers;
+  workers.reserve(n_threads);
   for (int t = 0; t < n_threads; ++t) {
     workers.push_back(std::async(std::launch::async, [&] {
       try {
