@@ -11,9 +11,12 @@ namespace {
 
 const char* BackgroundName(Background background) {
   switch (background) {
-    case Background::kNone: return "none";
-    case Background::kWhite: return "white";
-    case Background::kBlack: return "black";
+    case Background::kNone:
+      return "none";
+    case Background::kWhite:
+      return "white";
+    case Background::kBlack:
+      return "black";
   }
   return "none";
 }

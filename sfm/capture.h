@@ -17,10 +17,10 @@ struct CaptureImage {
   std::string id;              // "000012": position in byte order of `path`
   std::filesystem::path path;  // relative to Capture::root
   Split split = Split::kTrain;
-  ImageInfo info;              // info.orientation is the one to apply: 1 where poses refer to the stored raster
-  std::string hash;            // of the file's bytes
-  int camera = 0;              // group: same make, model, focal length and size
-  double blur = 0;             // MeasureBlur (image_measures.h)
+  ImageInfo info;    // info.orientation is the one to apply: 1 where poses refer to the stored raster
+  std::string hash;  // of the file's bytes
+  int camera = 0;    // group: same make, model, focal length and size
+  double blur = 0;   // MeasureBlur (image_measures.h)
 
   std::string Name() const;  // the file's name, escaped (EscapePath)
 };

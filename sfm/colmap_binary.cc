@@ -87,9 +87,7 @@ class Writer {
   std::string bytes_;
 };
 
-int ToSide(uint64_t pixels) {
-  return static_cast<int>(std::min<uint64_t>(pixels, std::numeric_limits<int>::max()));
-}
+int ToSide(uint64_t pixels) { return static_cast<int>(std::min<uint64_t>(pixels, std::numeric_limits<int>::max())); }
 
 void ReadCameras(const std::filesystem::path& path, ColmapModel& model) {
   Reader reader(path);

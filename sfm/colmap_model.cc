@@ -17,9 +17,17 @@ struct ModelInfo {
 
 // In the order of CameraModel.
 constexpr ModelInfo kModels[] = {
-    {"SIMPLE_PINHOLE", 3}, {"PINHOLE", 4}, {"SIMPLE_RADIAL", 4}, {"RADIAL", 5},
-    {"OPENCV", 8}, {"OPENCV_FISHEYE", 8}, {"FULL_OPENCV", 12}, {"FOV", 5},
-    {"SIMPLE_RADIAL_FISHEYE", 4}, {"RADIAL_FISHEYE", 5}, {"THIN_PRISM_FISHEYE", 12},
+    {"SIMPLE_PINHOLE", 3},
+    {"PINHOLE", 4},
+    {"SIMPLE_RADIAL", 4},
+    {"RADIAL", 5},
+    {"OPENCV", 8},
+    {"OPENCV_FISHEYE", 8},
+    {"FULL_OPENCV", 12},
+    {"FOV", 5},
+    {"SIMPLE_RADIAL_FISHEYE", 4},
+    {"RADIAL_FISHEYE", 5},
+    {"THIN_PRISM_FISHEYE", 12},
 };
 
 constexpr int kMaxImageSide_px = 1 << 20;
@@ -53,13 +61,13 @@ int CameraModelParamCount(CameraModel model) { return kModels[static_cast<int>(m
 
 void AddCamera(ColmapModel& model, ColmapCamera camera, const std::string& where) {
   if (camera.width <= 0 || camera.height <= 0 || camera.width > kMaxImageSide_px || camera.height > kMaxImageSide_px) {
-    throw InputError(where + ": camera " + std::to_string(camera.id) + " has the size " +
-                     std::to_string(camera.width) + "×" + std::to_string(camera.height) +
-                     " px; the file is damaged, export the model again");
+    throw InputError(where + ": camera " + std::to_string(camera.id) + " has the size " + std::to_string(camera.width) +
+                     "×" + std::to_string(camera.height) + " px; the file is damaged, export the model again");
   }
   for (double param : camera.params) {
     if (!std::isfinite(param)) {
-      throw InputError(where + ": camera " + std::to_string(camera.id) + " has a parameter that is not a finite number");
+      throw InputError(where + ": camera " + std::to_string(camera.id) +
+                       " has a parameter that is not a finite number");
     }
   }
   const uint32_t id = camera.id;
@@ -97,7 +105,8 @@ ColmapModel ReadColmapModel(const std::filesystem::path& dir) {
   } else if (std::filesystem::exists(dir / "cameras.txt")) {
     model = ReadColmapText(dir);
   } else {
-    throw InputError(EscapePath(dir) + ": holds no COLMAP model; expected cameras, images and points3D as .bin or .txt");
+    throw InputError(EscapePath(dir) +
+                     ": holds no COLMAP model; expected cameras, images and points3D as .bin or .txt");
   }
   CheckReferences(model, dir);
   return model;

@@ -59,19 +59,21 @@ std::optional<Source> ReadColmapSource(const fs::path& root) {
     }
   }
   const std::string name = EscapePath(root / model_dir);
-  if (model.images.empty()) throw InputError(name + ": the COLMAP model holds no images; give the model of a successful reconstruction");
+  if (model.images.empty())
+    throw InputError(name + ": the COLMAP model holds no images; give the model of a successful reconstruction");
   const auto folder = FindPhotoFolder(root, model);
   if (!folder) {
-    throw InputError(name + ": the COLMAP model names " + std::to_string(model.images.size()) + " photos (the first: " +
-                     EscapePath(model.images.begin()->second.name) + "), none of which is in " + EscapePath(root) +
-                     "/images or beside it; put the photos there");
+    throw InputError(name + ": the COLMAP model names " + std::to_string(model.images.size()) +
+                     " photos (the first: " + EscapePath(model.images.begin()->second.name) +
+                     "), none of which is in " + EscapePath(root) + "/images or beside it; put the photos there");
   }
 
   Source source;
   source.kind = "colmap";
   source.root = root;
   source.poses_ignore_orientation = true;
-  source.evidence = "COLMAP model " + EscapePath(model_dir) + " with " + std::to_string(model.images.size()) + " images";
+  source.evidence =
+      "COLMAP model " + EscapePath(model_dir) + " with " + std::to_string(model.images.size()) + " images";
   if (dirs.size() > 1) source.evidence += ", the largest of " + std::to_string(dirs.size());
   std::set<fs::path> posed;
   for (auto& [id, image] : model.images) {
@@ -79,10 +81,9 @@ std::optional<Source> ReadColmapSource(const fs::path& root) {
     image.name = path.native();
     if (!IsFile(root / path)) {
       source.rejected.push_back({EscapePath(path), "is in the COLMAP model but does not exist"});
-    } else if (posed.insert(path).second) {
-      source.images.push_back({path, {}});
     } else {
-      source.rejected.push_back({EscapePath(path), "is twice in the COLMAP model; the first pose is used"});
+      posed.insert(path);
+      source.images.push_back({path, {}});
     }
   }
   for (const fs::path& file : ListFiles(root / *folder)) {

@@ -1,6 +1,6 @@
 // A COLMAP model with its photos beside it: sparse/0 (or sparse/, colmap/sparse/0, the folder itself) and images/ (or
-// input/, the folder itself, images_2/, images_4/, images_8/). Of several models in sparse/ the one with the most images
-// is taken.
+// input/, the folder itself, images_2/, images_4/, images_8/). Of several models in sparse/ the one with the most
+// images is taken.
 #pragma once
 
 #include <filesystem>

@@ -20,13 +20,14 @@ namespace {
 // A header can claim any size; what no camera makes is refused before memory is taken.
 constexpr int64_t kMaxPixels = int64_t{1} << 29;
 
-constexpr std::array<std::string_view, 8> kExtensions = {".jpg", ".jpeg", ".png",  ".tif",
+constexpr std::array<std::string_view, 8> kExtensions = {".jpg",  ".jpeg", ".png",  ".tif",
                                                          ".tiff", ".webp", ".heic", ".heif"};
 
 // The file is handed to OpenImageIO as /proc/self/fd/N: its own handling of names gives '?' and '#' a meaning.
 class OpenFile {
  public:
-  explicit OpenFile(const std::filesystem::path& path) : name_(EscapePath(path)), fd_(open(path.c_str(), O_RDONLY | O_CLOEXEC)) {
+  explicit OpenFile(const std::filesystem::path& path)
+      : name_(EscapePath(path)), fd_(open(path.c_str(), O_RDONLY | O_CLOEXEC)) {
     if (fd_ < 0) throw Error("cannot be read; check that it exists and its permissions");
   }
   ~OpenFile() { close(fd_); }
@@ -67,7 +68,8 @@ class Decoder {
     input_ = OIIO::ImageInput::create(format);
     if (!input_) {
       OIIO::geterror();
-      throw file_.Error(std::string("is a ") + format + " file, which OpenImageIO was built without; convert it to JPEG or PNG");
+      throw file_.Error(std::string("is a ") + format +
+                        " file, which OpenImageIO was built without; convert it to JPEG or PNG");
     }
     OIIO::ImageSpec config;
     config.attribute("oiio:UnassociatedAlpha", 1);  // straight alpha: premultiplying in 8 bits loses colour
@@ -77,11 +79,14 @@ class Decoder {
                         " px; more than 2^29 pixels are taken for damage");
     }
     const bool alpha_last = spec_.alpha_channel == spec_.nchannels - 1;
-    if (!(spec_.nchannels == 1 || spec_.nchannels == 3 || ((spec_.nchannels == 2 || spec_.nchannels == 4) && alpha_last))) {
-      throw file_.Error("has " + std::to_string(spec_.nchannels) + " channels; expected grey or RGB, with or without alpha");
+    if (!(spec_.nchannels == 1 || spec_.nchannels == 3 ||
+          ((spec_.nchannels == 2 || spec_.nchannels == 4) && alpha_last))) {
+      throw file_.Error("has " + std::to_string(spec_.nchannels) +
+                        " channels; expected grey or RGB, with or without alpha");
     }
     if (spec_.format != OIIO::TypeUInt8 && spec_.format != OIIO::TypeUInt16) {
-      throw file_.Error(std::string("has pixels of type ") + spec_.format.c_str() + "; expected 8 or 16 bits a channel");
+      throw file_.Error(std::string("has pixels of type ") + spec_.format.c_str() +
+                        "; expected 8 or 16 bits a channel");
     }
   }
 
@@ -138,9 +143,15 @@ std::optional<double> FocalLength_px(const OIIO::ImageSpec& spec) {
   if (!focal_mm || !resolution) return {};
   double unit_mm = 25.4;  // 2, inch, is also EXIF's default
   switch (spec.get_int_attribute("Exif:FocalPlaneResolutionUnit", 2)) {
-    case 3: unit_mm = 10; break;
-    case 4: unit_mm = 1; break;
-    case 5: unit_mm = 1e-3; break;
+    case 3:
+      unit_mm = 10;
+      break;
+    case 4:
+      unit_mm = 1;
+      break;
+    case 5:
+      unit_mm = 1e-3;
+      break;
   }
   const double full_width = Positive(spec, "Exif:PixelXDimension").value_or(spec.width);
   const double focal_px = *focal_mm * *resolution / unit_mm * spec.width / full_width;
@@ -255,7 +266,8 @@ ImageInfo ProbeImage(const std::filesystem::path& path) {
 Image ReadImageOriented(const std::filesystem::path& path, std::optional<int> orientation) {
   Decoder decoder(path);
   Image image = ToEightBits(decoder);
-  const bool premultiplied = decoder.spec().alpha_channel >= 0 && !decoder.spec().get_int_attribute("oiio:UnassociatedAlpha");
+  const bool premultiplied =
+      decoder.spec().alpha_channel >= 0 && !decoder.spec().get_int_attribute("oiio:UnassociatedAlpha");
   if (premultiplied) Unpremultiply(image);
   return Oriented(ToColour(std::move(image)), orientation.value_or(StoredOrientation(decoder.spec())));
 }

@@ -25,7 +25,8 @@ struct ImageInfo {
   int bit_depth = 8;          // 8 or 16
   // Focal length in px of the stored raster (the same along both axes), the first of these that the EXIF data allows:
   //   f35 · √(w² + h²) / √(36² + 24²)       f35 = FocalLengthIn35mmFilm [mm]: equal diagonal angle (CIPA DCG-001)
-  //   f · R / u · w / w0                     f = FocalLength [mm], R = FocalPlaneXResolution [px per unit], u = length of
+  //   f · R / u · w / w0                     f = FocalLength [mm], R = FocalPlaneXResolution [px per unit], u = length
+  //   of
   //                                          FocalPlaneResolutionUnit [mm], w0 = PixelXDimension, the width R refers to
   std::optional<double> focal_px;
   std::string make, model;               // escaped (EscapePath), empty if not given

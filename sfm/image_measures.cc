@@ -44,7 +44,8 @@ bool NumbersGrowSteadily(const std::vector<std::filesystem::path>& paths) {
     if (!cut) return false;
     if (!names.empty()) {
       const NumberedName& previous = names.back();
-      if (cut->before != previous.before || cut->after != previous.after || cut->number <= previous.number) return false;
+      if (cut->before != previous.before || cut->after != previous.after || cut->number <= previous.number)
+        return false;
     }
     names.push_back(std::move(*cut));
   }
@@ -94,13 +95,16 @@ std::vector<std::vector<int>> GroupAlike(const std::vector<DifferenceHash>& hash
   return members;
 }
 
-bool IsOrdered(const std::vector<std::filesystem::path>& paths, const std::vector<std::optional<std::string>>& timestamps) {
+bool IsOrdered(const std::vector<std::filesystem::path>& paths,
+               const std::vector<std::optional<std::string>>& timestamps) {
   if (paths.empty()) return false;
-  const bool all_stamped = std::all_of(timestamps.begin(), timestamps.end(), [](const auto& time) { return time.has_value(); });
+  const bool all_stamped =
+      std::all_of(timestamps.begin(), timestamps.end(), [](const auto& time) { return time.has_value(); });
   if (all_stamped && timestamps.front() != timestamps.back()) {
     return std::is_sorted(timestamps.begin(), timestamps.end());  // "YYYY:MM:DD hh:mm:ss" sorts as text
   }
-  if (all_stamped && std::adjacent_find(timestamps.begin(), timestamps.end(), std::not_equal_to<>()) != timestamps.end()) {
+  if (all_stamped &&
+      std::adjacent_find(timestamps.begin(), timestamps.end(), std::not_equal_to<>()) != timestamps.end()) {
     return false;
   }
   return NumbersGrowSteadily(paths);

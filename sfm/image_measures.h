@@ -19,13 +19,14 @@ double MeasureBlur(const Image& image);
 using DifferenceHash = std::bitset<256>;
 DifferenceHash HashDifferences(const Image& image);
 
-// Groups (two or more indices, ascending) of images whose hashes differ in at most 1 % of the bits, transitively. A view
-// moved by more than a few pixels is outside.
+// Groups (two or more indices, ascending) of images whose hashes differ in at most 1 % of the bits, transitively. A
+// view moved by more than a few pixels is outside.
 std::vector<std::vector<int>> GroupAlike(const std::vector<DifferenceHash>& hashes);
 
 // Whether names in byte order are in the order of taking. Time stamps decide where all photos have one and they are
 // not all the same: ordered if they never go back. Otherwise the last number in the name decides: ordered if the names
 // agree in all but that number, it always grows, and by 3 or less on average (more is a selection at random).
-bool IsOrdered(const std::vector<std::filesystem::path>& paths, const std::vector<std::optional<std::string>>& timestamps);
+bool IsOrdered(const std::vector<std::filesystem::path>& paths,
+               const std::vector<std::optional<std::string>>& timestamps);
 
 }  // namespace nrff

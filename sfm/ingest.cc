@@ -66,11 +66,13 @@ void Measure(const Source& source, const ColmapCamera* camera, MeasuredPhoto& ph
     image.info = ProbeImage(file);
     ImageInfo& info = image.info;
     if (info.width < kMinSide_px || info.height < kMinSide_px) {
-      return reject("is " + std::to_string(info.width) + "×" + std::to_string(info.height) + " px; at least 16×16 are needed");
+      return reject("is " + std::to_string(info.width) + "×" + std::to_string(info.height) +
+                    " px; at least 16×16 are needed");
     }
     if (camera && !FitOrientation(*camera, source.poses_ignore_orientation, info)) {
-      return reject("is " + std::to_string(info.width) + "×" + std::to_string(info.height) + " px, but its camera is for " +
-                    std::to_string(camera->width) + "×" + std::to_string(camera->height) + " px");
+      return reject("is " + std::to_string(info.width) + "×" + std::to_string(info.height) +
+                    " px, but its camera is for " + std::to_string(camera->width) + "×" +
+                    std::to_string(camera->height) + " px");
     }
     image.hash = HashFile(file);
     const Image pixels = ReadImageOriented(file, info.orientation);
@@ -86,7 +88,8 @@ void Measure(const Source& source, const ColmapCamera* camera, MeasuredPhoto& ph
 std::map<std::string, const ColmapCamera*> CamerasByPath(const Source& source) {
   std::map<std::string, const ColmapCamera*> cameras;
   if (!source.model) return cameras;
-  for (const auto& [id, image] : source.model->images) cameras.emplace(image.name, &source.model->cameras.at(image.camera_id));
+  for (const auto& [id, image] : source.model->images)
+    cameras.emplace(image.name, &source.model->cameras.at(image.camera_id));
   return cameras;
 }
 
@@ -130,7 +133,9 @@ void RejectCopies(std::vector<MeasuredPhoto>& photos) {
   for (MeasuredPhoto& photo : photos) {
     if (photo.rejected) continue;
     const auto [first, is_new] = first_with_hash.emplace(photo.image.hash, &photo);
-    if (!is_new) photo.rejected = RejectedFile{EscapePath(photo.image.path), "has the same bytes as " + EscapePath(first->second->image.path)};
+    if (!is_new)
+      photo.rejected =
+          RejectedFile{EscapePath(photo.image.path), "has the same bytes as " + EscapePath(first->second->image.path)};
   }
 }
 
@@ -203,7 +208,8 @@ Capture MakeCapture(const Source& source, std::vector<MeasuredPhoto> photos) {
   capture.split_rule = FreezeHoldOut(given, splits);
   for (size_t i = 0; i < splits.size(); ++i) {
     capture.images[i].split = splits[i];
-    if (capture.images[i].info.channels == 4 && capture.background == Background::kNone) capture.background = Background::kWhite;
+    if (capture.images[i].info.channels == 4 && capture.background == Background::kNone)
+      capture.background = Background::kWhite;
   }
   capture.ordered = IsOrdered(paths, timestamps);
   for (const std::vector<int>& group : GroupAlike(looks)) {
@@ -302,8 +308,8 @@ void LogOutcome(const Capture& capture, const Json& facts) {
           facts["n_test"].dump() + " held out (" + capture.split_rule + ")");
   for (const RejectedFile& file : capture.rejected) LogDetail("left out: " + file.name + " " + file.reason);
   if (!capture.rejected.empty()) {
-    LogWarning(std::to_string(capture.rejected.size()) + " files are left out, the first: " + capture.rejected.front().name +
-               " " + capture.rejected.front().reason);
+    LogWarning(std::to_string(capture.rejected.size()) + " files are left out, the first: " +
+               capture.rejected.front().name + " " + capture.rejected.front().reason);
   }
   for (const std::vector<std::string>& group : capture.duplicates) {
     LogDetail(std::to_string(group.size()) + " photos look alike, from " + group.front() + " to " + group.back());
@@ -328,9 +334,9 @@ Json ProbeCapture(const fs::path& capture) {
   std::vector<Split> splits;
   const std::string rule = FreezeHoldOut(given, splits);
   const int n_test = CountTest(splits), n_images = static_cast<int>(splits.size());
-  return {{"kind", source.kind},        {"name", EscapePath(source.root.filename())},
-          {"n_images", n_images},       {"posed", source.model.has_value()},
-          {"split_rule", rule},         {"has_alpha", has_alpha},
+  return {{"kind", source.kind},          {"name", EscapePath(source.root.filename())},
+          {"n_images", n_images},         {"posed", source.model.has_value()},
+          {"split_rule", rule},           {"has_alpha", has_alpha},
           {"n_train", n_images - n_test}, {"n_test", n_test}};
 }
 

@@ -18,7 +18,8 @@ Json ProbeCapture(const std::filesystem::path& capture);
 HashedPath CaptureInput(const std::filesystem::path& capture);
 
 // Recognises the capture (recognise.h), decodes every photo with `n_threads` threads, rejects those that cannot be used
-// by name and reason, freezes the hold-out, and writes capture.json, the given poses as sparse/*.bin, facts and decisions.
+// by name and reason, freezes the hold-out, and writes capture.json, the given poses as sparse/*.bin, facts and
+// decisions.
 //
 // Hold-out: the data set's own split where it has one, else every 8th (index % 8 == 0) in byte order of the paths over
 // the photos that can be used. Unposed byte-identical copies are rejected; photos that look alike are only reported.

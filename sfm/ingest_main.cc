@@ -1,6 +1,4 @@
 // nrff-ingest CAPTURE --out DIR | --probe
-#include "sfm/ingest.h"
-
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cstdio>
@@ -9,15 +7,19 @@
 
 #include "pipeline/manifest.h"
 #include "pipeline/stage.h"
+#include "sfm/ingest.h"
 
 int main(int argc, char** argv) {
-  CLI::App app("Recognises a capture, checks its photos and freezes the hold-out.\n"
-               "Example: nrff-ingest photos/ --out work/photos/ingest", "nrff-ingest");
+  CLI::App app(
+      "Recognises a capture, checks its photos and freezes the hold-out.\n"
+      "Example: nrff-ingest photos/ --out work/photos/ingest",
+      "nrff-ingest");
   app.set_version_flag("--version", nrff::Version());
   std::string capture, out;
   bool probe = false;
   int n_threads = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
-  app.add_option("capture", capture, "Folder of photos, transforms.json, NSVF layout or COLMAP model with images")->required();
+  app.add_option("capture", capture, "Folder of photos, transforms.json, NSVF layout or COLMAP model with images")
+      ->required();
   auto* where = app.add_option_group("what to do");
   where->require_option(1);
   where->add_option("--out", out, "Write the artifact to this folder");

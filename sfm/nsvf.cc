@@ -30,7 +30,8 @@ std::vector<double> ReadNumbers(const fs::path& file) {
     double value = 0;
     const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), value);
     if (error != std::errc() || end != word.data() + word.size()) {
-      throw InputError(EscapePath(file) + ": found \"" + EscapePath(std::string(word)) + "\" where a number is expected");
+      throw InputError(EscapePath(file) + ": found \"" + EscapePath(std::string(word)) +
+                       "\" where a number is expected");
     }
     numbers.push_back(value);
     at += word.size();
@@ -43,14 +44,20 @@ ColmapCamera ReadIntrinsics(const fs::path& file) {
   const std::vector<double> n = ReadNumbers(file);
   ColmapCamera camera;
   switch (n.size()) {
-    case 16: camera.params = {n[0], n[5], n[2], n[6]}; break;
-    case 9: camera.params = {n[0], n[4], n[2], n[5]}; break;
+    case 16:
+      camera.params = {n[0], n[5], n[2], n[6]};
+      break;
+    case 9:
+      camera.params = {n[0], n[4], n[2], n[5]};
+      break;
     case 11:
       camera.height = static_cast<int>(std::clamp(n[9], 0.0, 1e6));
       camera.width = static_cast<int>(std::clamp(n[10], 0.0, 1e6));
       [[fallthrough]];
     case 3:
-    case 4: camera.params = {n[0], n[0], n[1], n[2]}; break;
+    case 4:
+      camera.params = {n[0], n[0], n[1], n[2]};
+      break;
     default:
       throw InputError(EscapePath(file) + ": holds " + std::to_string(n.size()) +
                        " numbers; expected a 4×4 matrix or \"f cx cy …\"");
@@ -58,21 +65,24 @@ ColmapCamera ReadIntrinsics(const fs::path& file) {
   for (double param : camera.params) {
     if (!std::isfinite(param)) throw InputError(EscapePath(file) + ": holds NaN or infinity");
   }
-  if (camera.params[0] <= 0 || camera.params[1] <= 0) throw InputError(EscapePath(file) + ": the focal length is not positive");
+  if (camera.params[0] <= 0 || camera.params[1] <= 0)
+    throw InputError(EscapePath(file) + ": the focal length is not positive");
   return camera;
 }
 
 Eigen::Matrix4d ReadPose(const fs::path& file) {
   const std::vector<double> n = ReadNumbers(file);
   if (n.size() != 16) {
-    throw InputError(EscapePath(file) + ": holds " + std::to_string(n.size()) + " numbers; expected a 4×4 matrix of 16");
+    throw InputError(EscapePath(file) + ": holds " + std::to_string(n.size()) +
+                     " numbers; expected a 4×4 matrix of 16");
   }
   return Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(n.data());
 }
 
 std::array<double, 6> ReadBox(const fs::path& file) {
   const std::vector<double> n = ReadNumbers(file);
-  if (n.size() < 6) throw InputError(EscapePath(file) + ": holds " + std::to_string(n.size()) + " numbers; expected min xyz, max xyz");
+  if (n.size() < 6)
+    throw InputError(EscapePath(file) + ": holds " + std::to_string(n.size()) + " numbers; expected min xyz, max xyz");
   std::array<double, 6> box{};
   for (int axis = 0; axis < 3; ++axis) {
     if (!(n[axis] < n[axis + 3]) || !std::isfinite(n[axis] - n[axis + 3])) {
@@ -116,7 +126,8 @@ std::optional<Source> ReadNsvfSource(const fs::path& root) {
   }
   std::vector<fs::path> poses = ListFiles(root / "pose");
   std::erase_if(poses, [](const fs::path& path) { return path.extension() != ".txt"; });
-  if (poses.empty()) throw InputError(EscapePath(root / "pose") + ": holds no .txt files; expected one 4×4 pose for each photo");
+  if (poses.empty())
+    throw InputError(EscapePath(root / "pose") + ": holds no .txt files; expected one 4×4 pose for each photo");
 
   Source source;
   source.kind = "nsvf";
@@ -156,8 +167,9 @@ std::optional<Source> ReadNsvfSource(const fs::path& root) {
     }
   }
   if (source.images.empty()) {
-    throw InputError(EscapePath(root) + ": none of the " + std::to_string(poses.size()) + " poses has a photo that can be read in " +
-                     photo_dir.native() + "/ (the first: " + source.rejected.front().name + " " + source.rejected.front().reason + ")");
+    throw InputError(EscapePath(root) + ": none of the " + std::to_string(poses.size()) +
+                     " poses has a photo that can be read in " + photo_dir.native() +
+                     "/ (the first: " + source.rejected.front().name + " " + source.rejected.front().reason + ")");
   }
   return source;
 }

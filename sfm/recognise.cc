@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <string>
 #include <system_error>
+#include <utility>
 #include <vector>
 
 #include "pipeline/error.h"
@@ -40,19 +41,35 @@ Source ReadSource(const fs::path& root) {
   return ReadPhotoFolder(root);
 }
 
+// The first pose of a photo is the one that counts: a view of the training set cannot be held out as well.
+void SortAndRejectRepeated(Source& source) {
+  std::stable_sort(source.images.begin(), source.images.end(),
+                   [](const SourceImage& a, const SourceImage& b) { return a.path.native() < b.path.native(); });
+  std::vector<SourceImage> unique;
+  for (SourceImage& image : source.images) {
+    if (!unique.empty() && unique.back().path == image.path) {
+      source.rejected.push_back({EscapePath(image.path), "is named twice; the first pose is used"});
+    } else {
+      unique.push_back(std::move(image));
+    }
+  }
+  source.images = std::move(unique);
+}
+
 }  // namespace
 
 Source RecogniseCapture(const fs::path& root) {
   std::error_code error;
-  if (!fs::exists(root, error)) throw InputError(EscapePath(root) + ": does not exist; give the folder that holds the photos");
+  if (!fs::exists(root, error))
+    throw InputError(EscapePath(root) + ": does not exist; give the folder that holds the photos");
   if (!fs::is_directory(root, error)) {
-    throw InputError(EscapePath(root) + ": is a file; one photo or file cannot be reconstructed, give a folder of photos");
+    throw InputError(EscapePath(root) +
+                     ": is a file; one photo or file cannot be reconstructed, give a folder of photos");
   }
   fs::directory_iterator(root, error);
   if (error) throw InputError(EscapePath(root) + ": cannot be listed (" + error.message() + "); check its permissions");
   Source source = ReadSource(root);
-  std::sort(source.images.begin(), source.images.end(),
-            [](const SourceImage& a, const SourceImage& b) { return a.path.native() < b.path.native(); });
+  SortAndRejectRepeated(source);
   return source;
 }
 

@@ -1,7 +1,6 @@
 #include "sfm/source.h"
 
 #include <Eigen/LU>
-#include <algorithm>
 #include <string>
 #include <system_error>
 #include <utility>
@@ -28,7 +27,8 @@ uint32_t AddOrShareCamera(ColmapModel& model, ColmapCamera camera) {
 }  // namespace
 
 void CheckRigid(const Eigen::Matrix4d& matrix, const std::string& where) {
-  if (!matrix.allFinite()) throw InputError(where + ": the pose holds NaN or infinity; expected finite numbers, export the poses again");
+  if (!matrix.allFinite())
+    throw InputError(where + ": the pose holds NaN or infinity; expected finite numbers, export the poses again");
   const Eigen::Matrix3d rotation = matrix.topLeftCorner<3, 3>();
   const double error = (rotation.transpose() * rotation - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff();
   if (error > kMaxRotationError) {
@@ -36,7 +36,8 @@ void CheckRigid(const Eigen::Matrix4d& matrix, const std::string& where) {
                      std::to_string(error) + ", allowed is 0.001); remove scale and shear from the poses");
   }
   if (rotation.determinant() < 0) {
-    throw InputError(where + ": the pose's rotation is left-handed (determinant −1); expected a right-handed one, flip one axis");
+    throw InputError(
+        where + ": the pose's rotation is left-handed (determinant −1); expected a right-handed one, flip one axis");
   }
   if ((matrix.row(3) - Eigen::RowVector4d(0, 0, 0, 1)).cwiseAbs().maxCoeff() > kMaxRotationError) {
     throw InputError(where + ": the pose's last row is not 0 0 0 1; expected a rigid 4×4 matrix");
@@ -46,12 +47,6 @@ void CheckRigid(const Eigen::Matrix4d& matrix, const std::string& where) {
 void AddPosedImage(Source& source, const SourceImage& image, ColmapCamera camera,
                    const Eigen::Matrix4d& world_from_camera, const std::string& where) {
   CheckRigid(world_from_camera, where);
-  const bool known = std::any_of(source.images.begin(), source.images.end(),
-                                 [&](const SourceImage& other) { return other.path == image.path; });
-  if (known) {
-    source.rejected.push_back({EscapePath(image.path), "named twice; the first pose is used"});
-    return;
-  }
   ColmapModel& model = source.model ? *source.model : source.model.emplace();
   ColmapImage posed;
   posed.id = static_cast<uint32_t>(model.images.size() + 1);

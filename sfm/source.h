@@ -23,19 +23,19 @@ struct Source {
   std::string kind;      // photos | transforms | nsvf | colmap
   std::string evidence;  // what it was recognised by: "transforms.json with 67 frames"
   std::filesystem::path root;
-  std::vector<SourceImage> images;
+  std::vector<SourceImage> images;  // RecogniseCapture sorts them by path and rejects what is named twice
   std::vector<RejectedFile> rejected;
   // Poses, where given: image names are the paths of `images` (their bytes), in the capture's world frame. The cameras'
   // sizes are those that the poses were made for; the photos may have been resized since.
   std::optional<ColmapModel> model;
-  bool poses_ignore_orientation = false;  // poses are for the stored raster, as COLMAP reads it
+  bool poses_ignore_orientation = false;      // poses are for the stored raster, as COLMAP reads it
   Background background = Background::kNone;  // what the data set's loader composites onto; alpha implies white anyway
   std::optional<std::array<double, 6>> box;   // min xyz, max xyz, world units
 };
 
 // Adds an image with its pose, sharing the camera with an earlier image where it is the same one (its id is set here).
 // `world_from_camera`: OpenCV axes. Throws InputError beginning with `where` unless it is finite, and its rotation
-// orthonormal (to 1e-3) and right-handed. An image that is there already is rejected: "named twice".
+// orthonormal (to 1e-3) and right-handed.
 void AddPosedImage(Source& source, const SourceImage& image, ColmapCamera camera,
                    const Eigen::Matrix4d& world_from_camera, const std::string& where);
 

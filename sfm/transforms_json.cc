@@ -119,13 +119,15 @@ class Settings {
 bool IsFisheye(const Settings& settings) {
   const std::string name = settings.Text("camera_model");
   if (name == "OPENCV_FISHEYE") return true;
-  for (const char* known : {"", "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "FULL_OPENCV", "PERSPECTIVE"}) {
+  for (const char* known :
+       {"", "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "FULL_OPENCV", "PERSPECTIVE"}) {
     if (name == known) {
       const Json* flag = settings.Find("is_fisheye");
       return flag && flag->is_boolean() && flag->get<bool>();
     }
   }
-  throw InputError(settings.where() + ": camera_model " + name + " cannot be used; expected PINHOLE, OPENCV or OPENCV_FISHEYE");
+  throw InputError(settings.where() + ": camera_model " + name +
+                   " cannot be used; expected PINHOLE, OPENCV or OPENCV_FISHEYE");
 }
 
 // The camera with as few parameters as the distortion needs. `photo` tells the size where the file does not.
@@ -146,8 +148,8 @@ ColmapCamera ReadCamera(const Settings& settings, const ImageInfo& photo) {
   if (!fx) throw InputError(settings.where() + ": has no focal length; expected fl_x or camera_angle_x");
   if (!fy) fy = fx;
   if (!(*fx > 0) || !(*fy > 0) || camera.width <= 0 || camera.height <= 0) {
-    throw InputError(settings.where() + ": focal length and size must be positive; found fl_x " + std::to_string(*fx) + ", w " +
-                     std::to_string(camera.width) + ", h " + std::to_string(camera.height));
+    throw InputError(settings.where() + ": focal length and size must be positive; found fl_x " + std::to_string(*fx) +
+                     ", w " + std::to_string(camera.width) + ", h " + std::to_string(camera.height));
   }
   auto number = [&](const char* key) { return settings.Number(key).value_or(0); };
   camera.params = {*fx, *fy, settings.Number("cx").value_or(camera.width / 2.0),
@@ -162,7 +164,8 @@ ColmapCamera ReadCamera(const Settings& settings, const ImageInfo& photo) {
   };
   if (IsFisheye(settings)) return extend(CameraModel::kOpenCVFisheye, {"k1", "k2", "k3", "k4"});
   if (any({"k4", "k5", "k6"}) && settings.Text("camera_model") != "FULL_OPENCV") {
-    throw InputError(settings.where() + ": k4 to k6 are given, but camera_model is not FULL_OPENCV, the only one in which they"
+    throw InputError(settings.where() +
+                     ": k4 to k6 are given, but camera_model is not FULL_OPENCV, the only one in which they"
                      " have a known meaning; leave them out or undistort the photos");
   }
   if (any({"k3", "k4", "k5", "k6"})) {
@@ -172,11 +175,13 @@ ColmapCamera ReadCamera(const Settings& settings, const ImageInfo& photo) {
   return camera;
 }
 
-// The photo a file_path names: as it is, with an extension, as this project writes names (escaped), with Windows' slashes.
+// The photo a file_path names: as it is, with an extension, as this project writes names (escaped), with Windows'
+// slashes.
 std::filesystem::path FindFramePhoto(const std::filesystem::path& root, const std::string& file_path) {
   std::string slashed = file_path;
   std::replace(slashed.begin(), slashed.end(), '\\', '/');
-  for (const std::filesystem::path& name : {std::filesystem::path(file_path), UnescapePath(file_path), std::filesystem::path(slashed)}) {
+  for (const std::filesystem::path& name :
+       {std::filesystem::path(file_path), UnescapePath(file_path), std::filesystem::path(slashed)}) {
     const std::filesystem::path found = FindPhoto(root, name);
     if (!found.empty()) return found.is_absolute() ? found.lexically_proximate(root) : found.lexically_normal();
   }
@@ -239,7 +244,8 @@ void AddFrames(const std::filesystem::path& file, std::optional<Split> split, So
     ++n_frames;
     const std::filesystem::path photo = FindFramePhoto(source.root, file_path);
     if (photo.empty()) {
-      source.rejected.push_back({EscapePath(file_path), "named by " + EscapePath(file.filename()) + " but does not exist"});
+      source.rejected.push_back(
+          {EscapePath(file_path), "named by " + EscapePath(file.filename()) + " but does not exist"});
       continue;
     }
     SourceImage image{photo, split};
@@ -282,17 +288,30 @@ Json ToJson(const ColmapCamera& camera, const std::string& where) {
     for (const char* key : keys) json[key] = *param++;
   };
   switch (camera.model) {
-    case CameraModel::kSimplePinhole: set("PINHOLE", {"fl_x", "cx", "cy"}); break;
-    case CameraModel::kPinhole: set("PINHOLE", {"fl_x", "fl_y", "cx", "cy"}); break;
-    case CameraModel::kSimpleRadial: set("OPENCV", {"fl_x", "cx", "cy", "k1"}); break;
-    case CameraModel::kRadial: set("OPENCV", {"fl_x", "cx", "cy", "k1", "k2"}); break;
-    case CameraModel::kOpenCV: set("OPENCV", {"fl_x", "fl_y", "cx", "cy", "k1", "k2", "p1", "p2"}); break;
-    case CameraModel::kOpenCVFisheye: set("OPENCV_FISHEYE", {"fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4"}); break;
+    case CameraModel::kSimplePinhole:
+      set("PINHOLE", {"fl_x", "cx", "cy"});
+      break;
+    case CameraModel::kPinhole:
+      set("PINHOLE", {"fl_x", "fl_y", "cx", "cy"});
+      break;
+    case CameraModel::kSimpleRadial:
+      set("OPENCV", {"fl_x", "cx", "cy", "k1"});
+      break;
+    case CameraModel::kRadial:
+      set("OPENCV", {"fl_x", "cx", "cy", "k1", "k2"});
+      break;
+    case CameraModel::kOpenCV:
+      set("OPENCV", {"fl_x", "fl_y", "cx", "cy", "k1", "k2", "p1", "p2"});
+      break;
+    case CameraModel::kOpenCVFisheye:
+      set("OPENCV_FISHEYE", {"fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4"});
+      break;
     case CameraModel::kFullOpenCV:
       set("FULL_OPENCV", {"fl_x", "fl_y", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"});
       break;
     default:
-      throw InputError(where + ": cameras of the model " + CameraModelName(camera.model) + " cannot be written as transforms.json; undistort first");
+      throw InputError(where + ": cameras of the model " + CameraModelName(camera.model) +
+                       " cannot be written as transforms.json; undistort first");
   }
   if (!json.contains("fl_y")) json["fl_y"] = json["fl_x"];
   return json;
@@ -323,9 +342,10 @@ std::optional<Source> ReadTransformsSource(const std::filesystem::path& root) {
   }
   source.evidence += " with " + std::to_string(n_frames) + " frames";
   if (source.images.empty()) {
-    throw InputError(EscapePath(root) + ": none of the " + std::to_string(n_frames) +
-                     " frames of the transforms file has a photo that can be read (the first: " + source.rejected.front().name +
-                     " " + source.rejected.front().reason + "); put the photos where file_path says");
+    throw InputError(
+        EscapePath(root) + ": none of the " + std::to_string(n_frames) +
+        " frames of the transforms file has a photo that can be read (the first: " + source.rejected.front().name +
+        " " + source.rejected.front().reason + "); put the photos where file_path says");
   }
   return source;
 }
@@ -346,9 +366,9 @@ void WriteTransforms(const ColmapModel& model, const std::filesystem::path& file
     frame["transform_matrix"] = ToRows(pose, 4);
     frames.push_back(std::move(frame));
   }
-  WriteJson(file, {{"frames", std::move(frames)},
-                   {"applied_transform", ToRows(transform, 3)},
-                   {"applied_scale", applied_scale}});
+  WriteJson(
+      file,
+      {{"frames", std::move(frames)}, {"applied_transform", ToRows(transform, 3)}, {"applied_scale", applied_scale}});
 }
 
 }  // namespace nrff

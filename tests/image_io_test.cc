@@ -21,7 +21,8 @@ namespace fs = std::filesystem;
 class ImageIoTest : public ::testing::Test {
  protected:
   void Write(const fs::path& name, const std::string& bytes) {
-    std::ofstream(dir_ / name, std::ios::binary | std::ios::trunc).write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
+    std::ofstream(dir_ / name, std::ios::binary | std::ios::trunc)
+        .write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
   }
 
   std::string ErrorOf(const fs::path& name) {
@@ -56,7 +57,8 @@ TEST_F(ImageIoTest, PixelsOfLosslessFormatsAreWhatWasWritten) {
       ASSERT_EQ(image.channels, 3);
       for (int y = 0, i = 0; y < 32; ++y) {
         for (int x = 0; x < 48; ++x) {
-          for (int c = 0; c < 3; ++c, ++i) ASSERT_EQ(image.pixels[i], TextureValue(options, x, y, c)) << format << bit_depth;
+          for (int c = 0; c < 3; ++c, ++i)
+            ASSERT_EQ(image.pixels[i], TextureValue(options, x, y, c)) << format << bit_depth;
         }
       }
     }
@@ -105,8 +107,9 @@ TEST_F(ImageIoTest, AlphaStaysStraightAndIsDroppedWhereOpaque) {
 // raster is shown at the top left, and which at the top right.
 TEST_F(ImageIoTest, AllEightOrientationsTurnTheRasterAsExifSays) {
   const Image stored{2, 3, 3, {1, 1, 1, 2, 2, 2, 3, 3, 3, 4, 4, 4, 5, 5, 5, 6, 6, 6}};  // 12 / 34 / 56
-  const std::vector<std::pair<int, std::string>> expected = {{1, "123456"}, {2, "214365"}, {3, "654321"}, {4, "563412"},
-                                                             {5, "135246"}, {6, "531642"}, {7, "642531"}, {8, "246135"}};
+  const std::vector<std::pair<int, std::string>> expected = {{1, "123456"}, {2, "214365"}, {3, "654321"},
+                                                             {4, "563412"}, {5, "135246"}, {6, "531642"},
+                                                             {7, "642531"}, {8, "246135"}};
   for (const auto& [orientation, shown] : expected) {
     const Image turned = Oriented(stored, orientation);
     EXPECT_EQ(turned.width, orientation < 5 ? 2 : 3);
@@ -160,10 +163,10 @@ TEST_F(ImageIoTest, ExifIsRead) {
 TEST_F(ImageIoTest, FocalLengthFromThePhysicalPixelPitchFollowsResizing) {
   PhotoOptions options;
   options.metadata = [](OIIO::ImageSpec& spec) {
-    spec.attribute("Exif:FocalLength", 10.0f);              // mm
-    spec.attribute("Exif:FocalPlaneXResolution", 100.0f);   // per cm: 10 px per mm
+    spec.attribute("Exif:FocalLength", 10.0f);             // mm
+    spec.attribute("Exif:FocalPlaneXResolution", 100.0f);  // per cm: 10 px per mm
     spec.attribute("Exif:FocalPlaneResolutionUnit", 3);
-    spec.attribute("Exif:PixelXDimension", 96);             // the photo was taken at twice the size
+    spec.attribute("Exif:PixelXDimension", 96);  // the photo was taken at twice the size
   };
   WritePhoto(dir_ / "a.jpg", options, "jpeg");
   const ImageInfo info = ProbeImage(dir_ / "a.jpg");
@@ -209,7 +212,8 @@ TEST_F(ImageIoTest, TheFormatIsToldFromTheContentNotTheName) {
 TEST_F(ImageIoTest, AbsurdSizesAreRefusedBeforeMemoryIsTaken) {
   WritePhoto(dir_ / "a.png");
   std::string bytes = ReadFile(dir_ / "a.png");
-  bytes.replace(16, 8, std::string("\x00\x0f\x00\x00\x00\x0f\x00\x00", 8));  // IHDR's width and height; its CRC is now wrong, too
+  bytes.replace(
+      16, 8, std::string("\x00\x0f\x00\x00\x00\x0f\x00\x00", 8));  // IHDR's width and height; its CRC is now wrong, too
   Write("huge.png", bytes);
   ErrorOf("huge.png");
   WritePhoto(dir_ / "a.jpg", {}, "jpeg");
@@ -222,7 +226,8 @@ TEST_F(ImageIoTest, AbsurdSizesAreRefusedBeforeMemoryIsTaken) {
 }
 
 TEST_F(ImageIoTest, NamesMayHoldAnyByte) {
-  for (const char* name : {"with space.png", "new\nline.png", "quo\"te's.png", "not-utf8-\xff\xfe.png", "a?b=c#d%20.png", "<UDIM>.png"}) {
+  for (const char* name :
+       {"with space.png", "new\nline.png", "quo\"te's.png", "not-utf8-\xff\xfe.png", "a?b=c#d%20.png", "<UDIM>.png"}) {
     WritePhoto(dir_ / name);
     EXPECT_EQ(ProbeImage(dir_ / name).width, 48) << EscapePath(name);
     EXPECT_EQ(ReadImageOriented(dir_ / name).width, 48) << EscapePath(name);
@@ -230,7 +235,8 @@ TEST_F(ImageIoTest, NamesMayHoldAnyByte) {
 }
 
 TEST_F(ImageIoTest, PhotoExtensionsAreToldInAnyCase) {
-  for (const char* name : {"a.jpg", "a.JPG", "a.JpEg", "a.png", "a.TIF", "a.tiff", "a.webp", "a.HEIC"}) EXPECT_TRUE(HasPhotoExtension(name)) << name;
+  for (const char* name : {"a.jpg", "a.JPG", "a.JpEg", "a.png", "a.TIF", "a.tiff", "a.webp", "a.HEIC"})
+    EXPECT_TRUE(HasPhotoExtension(name)) << name;
   for (const char* name : {"a.txt", "jpg", "a.jpg.txt", "a", "a.json"}) EXPECT_FALSE(HasPhotoExtension(name)) << name;
 }
 
