@@ -119,6 +119,13 @@ TYPED_TEST(CompositingTest, ThinSamplesKeepTheirRelativePrecision) {
   }
 }
 
+// A product of (1 − α) would never leave 1 here in float: 1 − 2⁻²⁷ rounds to it.
+TYPED_TEST(CompositingTest, ManySamplesTooThinToShowAloneAddUp) {
+  constexpr int kSamples = 1 << 20;
+  const std::vector<TypeParam> tau(kSamples, static_cast<TypeParam>(0x1p-27)), one(kSamples, 1);
+  EXPECT_NEAR(Weigh({0, kSamples}, tau, one).transmittance[0], std::exp(-0x1p-7), std::numeric_limits<TypeParam>::epsilon());
+}
+
 // Lengths by k and densities by 1/k describe the same scene.
 TYPED_TEST(CompositingTest, RescalingTheSceneByPowersOfTwoChangesNoBit) {
   const auto samples = MakeSamples<TypeParam>(200, 2, 2);
