@@ -55,7 +55,7 @@ Decision Contraction(bool box_given, bool has_alpha, std::optional<double> backg
   } else {
     decision.needed = !background_fraction || *background_fraction >= 0.02;
     decision.evidence =
-        background_fraction ? Format("%.1f %% of the sparse points lie outside the box", *background_fraction * 100) : "no sparse points";
+        background_fraction ? Format("%.1f %% of the sparse points lie outside the box", *background_fraction * 100) : "no box, no alpha channel, no plain background";
     decision.reason = decision.needed ? "the photos show surroundings that need a place" : "the photos show nothing but the object";
   }
   return decision;

@@ -32,7 +32,8 @@ Decision Sfm(bool poses_given, const std::string& where_from);
 Decision Undistortion(double largest_displacement_px);
 
 // Contraction of unbounded space is left out when the capture gives a bounding box, is masked (alpha), or was declared
-// bounded. `background_fraction` is the share of sparse points outside the box seen by the cameras.
+// bounded. `background_fraction` is the share of sparse points outside the box seen by the cameras; only a capture with a
+// plain background has one, since sky and other smooth surroundings have no points.
 Decision Contraction(bool box_given, bool has_alpha, std::optional<double> background_fraction);
 
 // All pairs are matched when there are few; beyond that, neighbours in capture order (with loop closure) are enough if

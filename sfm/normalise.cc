@@ -225,8 +225,9 @@ Normalisation Normalise(const NormaliseInput& input, std::optional<bool> force_c
   Normalisation n;
   const std::optional<Vector3d> focus = FocusPoint(input.cameras);
   const double seen_radius = focus ? SeenRadius(input.cameras, *focus) : 0;
-  n.contraction = needs::Contraction(input.box.has_value(), input.masked,
-                                     focus ? BackgroundFraction(input.points, *focus, seen_radius) : std::nullopt);
+  const std::optional<double> background_fraction =
+      focus && input.plain_background ? BackgroundFraction(input.points, *focus, seen_radius) : std::nullopt;
+  n.contraction = needs::Contraction(input.box.has_value(), input.masked, background_fraction);
   if (force_contraction) {
     n.contraction.needed = *force_contraction;
     n.contraction.reason = "forced by an option";

@@ -5,8 +5,9 @@
 //   inward-looking the optical axes meet at a focus point in front of the cameras: it becomes the centre
 //   outward or forward-looking (also: one camera, all cameras at one place): the centre lies on the mean optical axis at
 //                  the median depth of the points
-// Inward-looking captures are bounded when the photos show nothing but the object (masked, or hardly a point beyond what
-// all cameras see): the box then holds the points. Otherwise the box is the foreground, the rest is contracted.
+// Inward-looking captures are bounded when the photos show nothing but the object (masked, or on a plain background with
+// hardly a point beyond what all cameras see): the box then holds the points. Otherwise the box is the foreground, the
+// rest is contracted. Points alone do not tell: sky and other smooth surroundings have none.
 //
 // The result is the same scene for any similarity of the input world, box-given captures aside. Medians and quantiles
 // throughout, so that a few bad cameras or points change little.
@@ -36,6 +37,7 @@ struct NormaliseInput {
   std::vector<double> depths;           // of the points from the cameras that see them, along the ray, world units
   std::optional<std::array<double, 6>> box;  // min xyz, max xyz, world units
   bool masked = false;                  // the photos have alpha
+  bool plain_background = false;        // a known colour is behind the object
 };
 
 struct Normalisation {

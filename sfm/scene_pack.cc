@@ -101,6 +101,7 @@ std::map<uint32_t, TargetCamera> ChooseTargets(const ColmapModel& model, const s
 NormaliseInput NormalisationInput(const Capture& capture, const ColmapModel& model, const std::vector<PosedPhoto>& posed) {
   NormaliseInput input;
   input.box = capture.box;
+  input.plain_background = capture.background != Background::kNone;
   for (const auto& [id, point] : model.points) input.points.push_back(point.position);
   for (const PosedPhoto& p : posed) {
     input.masked |= p.photo->info.channels == 4;
