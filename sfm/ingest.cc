@@ -263,6 +263,7 @@ ColmapModel GivenModel(const ColmapModel& given, const Capture& capture) {
 
 double MedianBlur(const std::vector<CaptureImage>& images) {
   std::vector<double> blur;
+  blur.reserve(images.size());
   for (const CaptureImage& image : images) blur.push_back(image.blur);
   std::nth_element(blur.begin(), blur.begin() + static_cast<std::ptrdiff_t>(blur.size() / 2), blur.end());
   return blur[blur.size() / 2];

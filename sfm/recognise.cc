@@ -66,7 +66,7 @@ Source RecogniseCapture(const fs::path& root) {
     throw InputError(EscapePath(root) +
                      ": is a file; one photo or file cannot be reconstructed, give a folder of photos");
   }
-  fs::directory_iterator(root, error);
+  const fs::directory_iterator listing(root, error);
   if (error) throw InputError(EscapePath(root) + ": cannot be listed (" + error.message() + "); check its permissions");
   Source source = ReadSource(root);
   SortAndRejectRepeated(source);
