@@ -133,48 +133,6 @@ class Accumulate : public torch::autograd::Function<Accumulate> {
   }
 };
 
-struct Samples {
-  Tensor ray_offsets;           // [n_rays + 1] int64
-  Tensor t, delta;              // [n_samples]
-  Tensor points;                // [n_samples, 3] field coordinates
-  Tensor ray_index;             // [n_samples] int64
-};
-
-Samples MarchRays(const OccupancyGrid& occupancy, const SceneMap& map, const Rays& rays, const RenderOptions& options) {
-  const Tensor origins = rays.origins.contiguous(), directions = rays.directions.contiguous();
-  const int64_t n_rays = origins.size(0);
-  const auto indices = origins.options().dtype(torch::kLong);
-  Samples samples;
-  samples.ray_offsets = at::empty({n_rays + 1}, indices);
-  WithScalar(origins.scalar_type(), [&](auto scalar) {
-    using Scalar = decltype(scalar);
-    MarchArgs<Scalar> args{.n_rays = n_rays,
-                           .origins = In<Scalar>(origins),
-                           .directions = In<Scalar>(directions),
-                           .occupancy = occupancy.bits(),
-                           .map = map,
-                           .step = options.step,
-                           .near = options.near,
-                           .far = options.far};
-    if (options.jitter) {
-      args.jitter = true;
-      args.jitter_seed = options.jitter->first;
-      args.jitter_stream = StreamAt(RandomStream::kRayJitter, options.jitter->second);
-    }
-    const int64_t n_samples = CountSamplesCpu(args, Out<int64_t>(samples.ray_offsets));
-    samples.t = at::empty({n_samples}, origins.options());
-    samples.delta = at::empty({n_samples}, origins.options());
-    samples.points = at::empty({n_samples, 3}, origins.options());
-    samples.ray_index = at::empty({n_samples}, indices);
-    FillSamplesCpu(args, In<int64_t>(samples.ray_offsets),
-                   SampleArrays<Scalar>{.t = Out<Scalar>(samples.t),
-                                        .delta = Out<Scalar>(samples.delta),
-                                        .points = Out<Scalar>(samples.points),
-                                        .ray_index = Out<int64_t>(samples.ray_index)});
-  });
-  return samples;
-}
-
 struct Selection {
   Tensor ray_offsets;  // [n_rays + 1] into `indices`
   Tensor indices;      // [n_selected] into the samples
@@ -231,11 +189,49 @@ Rays RaysThroughPixels(const std::vector<View>& views, const Tensor& pixels, tor
   return rays;
 }
 
+Samples MarchRays(const OccupancyGrid& occupancy, const SceneMap& map, const Rays& rays, const RenderOptions& options) {
+  CheckOptions(options);
+  const Tensor origins = rays.origins.contiguous(), directions = rays.directions.contiguous();
+  const int64_t n_rays = origins.size(0);
+  const auto indices = origins.options().dtype(torch::kLong);
+  Samples samples;
+  samples.ray_offsets = at::empty({n_rays + 1}, indices);
+  WithScalar(origins.scalar_type(), [&](auto scalar) {
+    using Scalar = decltype(scalar);
+    MarchArgs<Scalar> args{.n_rays = n_rays,
+                           .origins = In<Scalar>(origins),
+                           .directions = In<Scalar>(directions),
+                           .occupancy = occupancy.bits(),
+                           .map = map,
+                           .step = options.step,
+                           .near = options.near,
+                           .far = options.far};
+    if (options.jitter) {
+      args.jitter = true;
+      args.jitter_seed = options.jitter->first;
+      args.jitter_stream = StreamAt(RandomStream::kRayJitter, options.jitter->second);
+    }
+    const int64_t n_samples = CountSamplesCpu(args, Out<int64_t>(samples.ray_offsets));
+    samples.t = at::empty({n_samples}, origins.options());
+    samples.delta = at::empty({n_samples}, origins.options());
+    samples.points = at::empty({n_samples, 3}, origins.options());
+    samples.ray_index = at::empty({n_samples}, indices);
+    FillSamplesCpu(args, In<int64_t>(samples.ray_offsets),
+                   SampleArrays<Scalar>{.t = Out<Scalar>(samples.t),
+                                        .delta = Out<Scalar>(samples.delta),
+                                        .points = Out<Scalar>(samples.points),
+                                        .ray_index = Out<int64_t>(samples.ray_index)});
+  });
+  return samples;
+}
+
 RenderResult RenderRays(const RadianceField& field, const OccupancyGrid& occupancy, const SceneMap& map,
                         const Rays& rays, const RenderOptions& options) {
-  CheckOptions(options);
-  const Samples samples = MarchRays(occupancy, map, rays, options);
+  return RenderSamples(field, MarchRays(occupancy, map, rays, options), rays, options);
+}
 
+RenderResult RenderSamples(const RadianceField& field, const Samples& samples, const Rays& rays,
+                           const RenderOptions& options) {
   RenderResult result;
   result.n_samples = samples.t.numel();
   result.delta = samples.delta;
@@ -243,6 +239,7 @@ RenderResult RenderRays(const RadianceField& field, const OccupancyGrid& occupan
   const tensor_list visibility =
       Weights::apply(result.sigma, samples.delta, samples.ray_offsets, options.stop_transmittance);
   const Tensor &weights = visibility[0], &transmittance = visibility[1];
+  result.weights = weights;
 
   const Selection shaded = SelectSamples(weights, samples.ray_offsets, options.weight_threshold);
   result.n_shaded = shaded.indices.numel();

@@ -47,12 +47,28 @@ struct RenderResult {
   // Per sample, for losses:
   torch::Tensor sigma;              // [m] all marched samples
   torch::Tensor delta;              // [m]
+  torch::Tensor weights;            // [m]
   torch::Tensor shaded_weights;     // [k] weights of the shaded samples
   torch::Tensor shaded_normals;     // [k, 3]
   torch::Tensor shaded_directions;  // [k, 3] of their rays
   int64_t n_samples = 0;            // m: density evaluations
   int64_t n_shaded = 0;             // k: shading evaluations
 };
+
+// Packed samples: those of ray r are ray_offsets[r] … ray_offsets[r + 1] − 1, front to back.
+struct Samples {
+  torch::Tensor ray_offsets;  // [n_rays + 1] int64
+  torch::Tensor ray_index;    // [m] int64
+  torch::Tensor t, delta;     // [m] along the ray in scene units; the length that density is integrated over
+  torch::Tensor points;       // [m, 3] field coordinates
+};
+
+// The marched samples in occupied cells (render/kernels/sampling.h). Throws as RenderRays.
+Samples MarchRays(const OccupancyGrid& occupancy, const SceneMap& map, const Rays& rays, const RenderOptions& options);
+
+// What RenderRays does with the samples it marched.
+RenderResult RenderSamples(const RadianceField& field, const Samples& samples, const Rays& rays,
+                           const RenderOptions& options);
 
 // Differentiable (autograd) unless gradients are off. Rays that meet nothing return the background. The field is not
 // called with zero points. Throws InputError on a step, near or far that cannot be marched.
