@@ -41,6 +41,7 @@ std::vector<Mat4> TrainingPoses(const Scene& scene) {
 template <typename Measure>
 double MedianOf(const std::vector<Mat4>& poses, Measure&& measure) {
   std::vector<double> values;
+  values.reserve(poses.size());
   for (const Mat4& pose : poses) values.push_back(measure(pose));
   return Median(std::move(values));
 }
@@ -49,8 +50,9 @@ double MedianOf(const std::vector<Mat4>& poses, Measure&& measure) {
 Mat4 LookAt(const Vec3& position, const Vec3& target) {
   const Vec3 line = Sub(target, position);
   if (!(Dot(line, line) > 1e-16)) {
-    throw InputError("the camera path goes through the point it looks at: the training cameras all stand in one place; "
-                     "give a path file");
+    throw InputError(
+        "the camera path goes through the point it looks at: the training cameras all stand in one place; "
+        "give a path file");
   }
   const Vec3 forward = Unit(line);
   Vec3 right = Cross(forward, {0, 0, 1});
@@ -115,7 +117,8 @@ int PixelsAt(const Json& json, const char* key, const std::string& name) {
   if (!json.contains(key)) return 0;
   const Json& value = json[key];
   if (!value.is_number_integer() || value.get<int64_t>() <= 0 || value.get<int64_t>() > 65536) {
-    throw InputError("\"" + std::string(key) + "\" of the camera path " + name + " must be a number of pixels from 1 to 65536");
+    throw InputError("\"" + std::string(key) + "\" of the camera path " + name +
+                     " must be a number of pixels from 1 to 65536");
   }
   return value.get<int>();
 }
@@ -133,8 +136,9 @@ Mat4 RigidPart(Mat4 m, const std::string& where) {
   const double bottom = std::max({std::abs(m[12]), std::abs(m[13]), std::abs(m[14]), std::abs(m[15] - 1)});
   const bool finite = std::all_of(m.begin(), m.end(), [](double x) { return std::isfinite(x); });
   if (!finite || !(scale > 0) || !(worst < 1e-3) || !(bottom < 1e-6)) {
-    throw InputError(where + " is not a camera pose: expected a right-handed rotation, a finite position and the last "
-                             "row 0 0 0 1");
+    throw InputError(where +
+                     " is not a camera pose: expected a right-handed rotation, a finite position and the last "
+                     "row 0 0 0 1");
   }
   return m;
 }
@@ -149,7 +153,8 @@ View NerfstudioFrame(const Json& entry, const Scene& scene, const PathOptions& o
   View view = Frame(scene, options, frame, RigidPart(Multiply(scene.scene_from_world, world_from_camera), where));
   if (entry.contains("fov")) {
     const double degrees = entry["fov"].is_number() ? entry["fov"].get<double>() : 0;
-    if (!(degrees > 0 && degrees < 180)) throw InputError(where + ": \"fov\" must be a number of degrees between 0 and 180");
+    if (!(degrees > 0 && degrees < 180))
+      throw InputError(where + ": \"fov\" must be a number of degrees between 0 and 180");
     view.fx = view.fy = 0.5 * view.height / std::tan(0.5 * degrees * kPi / 180);
     view.cx = 0.5 * view.width;
     view.cy = 0.5 * view.height;
@@ -219,8 +224,8 @@ std::vector<View> SpiralPath(const Scene& scene, const PathOptions& options) {
   Vec3 half_axes;
   for (int axis = 0; axis < 3; ++axis) {
     half_axes[axis] = 0.5 * MedianOf(poses, [&](const Mat4& m) {
-      return std::abs(Dot(Sub(Column(m, 3), center), Column(middle, axis)));
-    });
+                        return std::abs(Dot(Sub(Column(m, 3), center), Column(middle, axis)));
+                      });
   }
   std::vector<View> views;
   for (int frame = 0; frame < options.n_frames; ++frame) {
@@ -241,7 +246,8 @@ std::vector<View> ReadPath(const std::filesystem::path& file, const Scene& scene
   const bool nerfstudio = json.is_object() && json.contains("camera_path");
   const Json& frames = nerfstudio ? json["camera_path"] : json;
   if (!frames.is_array() || frames.empty()) {
-    throw InputError("the camera path " + name + " holds no list of frames; expected [{\"scene_from_camera\": [16 numbers]}, "
+    throw InputError("the camera path " + name +
+                     " holds no list of frames; expected [{\"scene_from_camera\": [16 numbers]}, "
                      "…] or nerfstudio's {\"camera_path\": […]}");
   }
   PathOptions size = options;

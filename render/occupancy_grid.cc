@@ -135,7 +135,9 @@ std::array<int, 3> OccupancyGrid::CellAt(int64_t index) const {
           block / (n * n) * kOccupancyBlock + (within >> 6)};
 }
 
-bool OccupancyGrid::Occupied(int x, int y, int z) const { return bits().CellOccupied(bits().BlockOf(x, y, z), x, y, z); }
+bool OccupancyGrid::Occupied(int x, int y, int z) const {
+  return bits().CellOccupied(bits().BlockOf(x, y, z), x, y, z);
+}
 
 double OccupancyGrid::OccupiedFraction() const {
   return static_cast<double>(CountBits(occupied_)) / static_cast<double>(opacity_.size());
@@ -144,13 +146,16 @@ double OccupancyGrid::OccupiedFraction() const {
 std::vector<int64_t> OccupancyGrid::ChooseCells(const UpdateOptions& options) const {
   std::vector<int64_t> cells;
   if (options.n_random == 0 && options.n_occupied == 0) {
-    DrawBits(seen_, CountBits(seen_), [](int64_t) { return 0.; }, cells);
+    DrawBits(
+        seen_, CountBits(seen_), [](int64_t) { return 0.; }, cells);
     return cells;
   }
   const uint64_t stream = StreamAt(RandomStream::kOccupancyCells, options.counter);
-  DrawBits(seen_, options.n_random, [&](int64_t k) { return Uniform(options.seed, stream, k); }, cells);
+  DrawBits(
+      seen_, options.n_random, [&](int64_t k) { return Uniform(options.seed, stream, k); }, cells);
   const auto n_before = static_cast<int64_t>(cells.size());
-  DrawBits(occupied_, options.n_occupied, [&](int64_t k) { return Uniform(options.seed, stream, n_before + k); }, cells);
+  DrawBits(
+      occupied_, options.n_occupied, [&](int64_t k) { return Uniform(options.seed, stream, n_before + k); }, cells);
   return cells;
 }
 
@@ -242,6 +247,7 @@ void OccupancyGrid::SetBlocks() {
 
 void OccupancyGrid::MarkSeen(const std::vector<View>& views, const SceneMap& map, double near, int min_views) {
   std::vector<Frustum> frusta;
+  frusta.reserve(views.size());
   for (const View& view : views) frusta.emplace_back(view, near);
   const auto n_blocks = static_cast<int64_t>(blocks_.size());
   const double cell_size = 2. / resolution_, half_block = 0.5 * kOccupancyBlock * cell_size;

@@ -25,14 +25,14 @@ class OccupancyGrid {
   explicit OccupancyGrid(int resolution);
 
   struct UpdateOptions {
-    double step = 0.01;       // the length opacity is taken over; Samples::delta's unit
+    double step = 0.01;  // the length opacity is taken over; Samples::delta's unit
     float decay = 0.95F;
     float threshold = 0.01F;  // opacity
     // Cells measured: so many drawn from all that are seen, and so many from the occupied ones; 0 and 0: every seen
     // cell. Cells not drawn keep their opacity.
     int64_t n_random = 0, n_occupied = 0;
     uint64_t seed = 0, counter = 0;  // of the draws and of the point in the cell (render/kernels/random.h)
-    bool dilate = false;             // also the 26 neighbours of an occupied cell (3³ max-pool of the paper's schedule)
+    bool dilate = false;  // also the 26 neighbours of an occupied cell (3³ max-pool of the paper's schedule)
   };
   // Evaluates field.Density at a random point (float) in each chosen cell, without gradients, and sets the bits anew.
   void Update(const RadianceField& field, const UpdateOptions& options);

@@ -34,7 +34,8 @@ std::string EncodePng(int width, int height, int channels, const std::vector<Sam
   PngWriter writer;
   // Errors leave as C++ exceptions: libpng is compiled to be unwound through on this platform, and no setjmp is needed.
   writer.png = png_create_write_struct(PNG_LIBPNG_VER_STRING, nullptr, ThrowPngError, nullptr);
-  if (writer.png == nullptr) throw ResourceError("libpng cannot be started: the header's and the library's versions differ");
+  if (writer.png == nullptr)
+    throw ResourceError("libpng cannot be started: the header's and the library's versions differ");
   writer.info = png_create_info_struct(writer.png);
   std::string bytes;
   png_set_write_fn(
@@ -62,7 +63,8 @@ void Write(const std::filesystem::path& path, int width, int height, int channel
   if (width <= 0 || height <= 0 || !known || data.size() != static_cast<size_t>(width) * height * channels) {
     throw InputError("an image of " + std::to_string(width) + "×" + std::to_string(height) + " px with " +
                      std::to_string(channels) + " channels and " + std::to_string(data.size()) +
-                     " values cannot be written to " + EscapePath(path) + "; expected width × height × (1, 3 or 4) values");
+                     " values cannot be written to " + EscapePath(path) +
+                     "; expected width × height × (1, 3 or 4) values");
   }
   WriteFileAtomically(path, EncodePng(width, height, channels, data));
 }

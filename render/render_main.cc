@@ -31,7 +31,8 @@ std::vector<View> CaptureViews(const Scene& scene, const std::string& split) {
     if (split == "all" || (view.split == Split::kTest) == (split == "test")) views.push_back(view);
   }
   if (views.empty()) {
-    throw InputError("the scene " + scene.name + " has no " + split + " views to render; choose another --split or a --path");
+    throw InputError("the scene " + scene.name + " has no " + split +
+                     " views to render; choose another --split or a --path");
   }
   return views;
 }
@@ -53,8 +54,7 @@ void Render(const Options& options, const Params& params) {
     inputs.push_back({EscapePath(options.path), HashFile(options.path), std::filesystem::file_size(options.path)});
   }
   const Scene scene = LoadScene(options.scene_dir);
-  const std::vector<View> views =
-      options.path.empty() ? CaptureViews(scene, options.split) : PathViews(scene, options);
+  const std::vector<View> views = options.path.empty() ? CaptureViews(scene, options.split) : PathViews(scene, options);
   const std::unique_ptr<LoadedModel> model = LoadModel(options.model_dir);
 
   ArtifactWriter artifact("render", options.out, params, inputs, ArtifactWriter::kKeepPartial);
@@ -93,7 +93,10 @@ int main(int argc, char** argv) {
   auto* path = app.add_option("--path", options.path, "orbit, spiral, or a file of poses instead")->group(group);
   path->excludes(split);
   const CLI::Range frames(1, 100000), pixels(1, 16384);
-  app.add_option("--frames", options.frames.n_frames, "frames of the path (120)")->group(group)->needs(path)->check(frames);
+  app.add_option("--frames", options.frames.n_frames, "frames of the path (120)")
+      ->group(group)
+      ->needs(path)
+      ->check(frames);
   app.add_option("--width", options.frames.width, "px (as the photos)")->group(group)->needs(path)->check(pixels);
   app.add_option("--height", options.frames.height, "px (as the photos)")->group(group)->needs(path)->check(pixels);
   nrff::AddVerbosity(app);

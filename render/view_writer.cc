@@ -3,8 +3,10 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <limits>
 
 #include "pipeline/error.h"
+#include "pipeline/files.h"
 #include "pipeline/json.h"
 #include "pipeline/progress.h"
 #include "render/png.h"
@@ -22,7 +24,7 @@ struct ViewRecord {
 template <typename Integer>
 Integer Quantise(float value) {
   constexpr auto kMax = static_cast<float>(std::numeric_limits<Integer>::max());
-  return static_cast<Integer>(std::clamp(value, 0.F, 1.F) * kMax + 0.5F);
+  return static_cast<Integer>(std::lround(std::clamp(value, 0.F, 1.F) * kMax));
 }
 
 template <typename Integer, typename ToUnit>
@@ -46,9 +48,10 @@ std::filesystem::path RecordPath(const std::filesystem::path& dir, const View& v
 }
 
 void WriteImage(const RenderedImage& image, const View& view, double depth_range, const std::filesystem::path& dir) {
-  const auto finite = [](float v) { return std::isfinite(v); };
-  if (!std::all_of(image.rgb.begin(), image.rgb.end(), finite)) {
-    throw CorruptError("the model gives colours that are not numbers in view " + view.name + "; train it again");
+  for (const std::vector<float>* layer : {&image.rgb, &image.depth, &image.normal, &image.opacity}) {
+    if (!std::all_of(layer->begin(), layer->end(), [](float v) { return std::isfinite(v); })) {
+      throw CorruptError("the model gives values that are not numbers in view " + view.name + "; train it again");
+    }
   }
   const int w = image.width, h = image.height;
   const auto unit = [](float v) { return v; };
@@ -89,8 +92,8 @@ RenderFacts RenderViews(const RenderSource& source, const std::vector<View>& vie
     ViewRecord record;
     const double n_view_rays = static_cast<double>(view.width) * view.height;
     if (std::filesystem::exists(RecordPath(dir, view))) {
-      const std::string where = RecordPath(dir, view).string();
-      const Json json = ReadJson(where);
+      const std::string where = EscapePath(RecordPath(dir, view));
+      const Json json = ReadJson(RecordPath(dir, view));
       record = {Get<double>(json, "seconds", where), Get<double>(json, "n_samples", where)};
       ++facts.n_kept;
     } else {

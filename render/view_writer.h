@@ -33,7 +33,7 @@ struct RenderSource {
 
 // Renders the views into `dir`. A view that an interrupted attempt finished there (dir/done/ID.json, written after its
 // images) is kept. `split` overrides what renders.json says of the views' split ("path" for the frames of a film);
-// empty: the views' own. Throws CorruptError when the model yields colours that are not numbers.
+// empty: the views' own. Throws CorruptError when the model yields values that are not numbers.
 RenderFacts RenderViews(const RenderSource& source, const std::vector<View>& views, const std::string& split,
                         const std::filesystem::path& dir);
 

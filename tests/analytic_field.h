@@ -16,7 +16,9 @@ class GaussianBall : public RadianceField {
   mutable int64_t n_density = 0, n_shade = 0;
 
   explicit GaussianBall(torch::Dtype type, double amplitude_value = 8)
-      : amplitude(at::full({}, amplitude_value, type)), width(at::full({}, 0.25, type)), frequency(at::full({}, 3., type)) {}
+      : amplitude(at::full({}, amplitude_value, type)),
+        width(at::full({}, 0.25, type)),
+        frequency(at::full({}, 3., type)) {}
 
   torch::Tensor Density(const torch::Tensor& points_any) const override {
     const torch::Tensor points = points_any.to(amplitude.scalar_type());

@@ -1,13 +1,13 @@
 // Compositing kernels against closed forms, finite differences and long double. No torch.
 
+#include "render/kernels/compositing.h"
+
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <limits>
 #include <random>
 #include <vector>
-
-#include "render/kernels/compositing.h"
 
 namespace nrff {
 namespace {
@@ -35,10 +35,10 @@ std::vector<Scalar> WeighBackward(const std::vector<int64_t>& offsets, const std
                                   const Weighted<Scalar>& forward, const std::vector<Scalar>& dL_dweights,
                                   const std::vector<Scalar>& dL_dtransmittance) {
   std::vector<Scalar> dL_dsigma(delta.size(), std::numeric_limits<Scalar>::quiet_NaN());
-  WeightsBackwardCpu(WeightsBackwardArgs<Scalar>{
-      static_cast<int64_t>(offsets.size()) - 1, offsets.data(), delta.data(), forward.weights.data(),
-      forward.transmittance.data(), forward.n_reached.data(), dL_dweights.data(), dL_dtransmittance.data(),
-      dL_dsigma.data()});
+  WeightsBackwardCpu(WeightsBackwardArgs<Scalar>{static_cast<int64_t>(offsets.size()) - 1, offsets.data(), delta.data(),
+                                                 forward.weights.data(), forward.transmittance.data(),
+                                                 forward.n_reached.data(), dL_dweights.data(), dL_dtransmittance.data(),
+                                                 dL_dsigma.data()});
   return dL_dsigma;
 }
 
@@ -123,7 +123,8 @@ TYPED_TEST(CompositingTest, ThinSamplesKeepTheirRelativePrecision) {
 TYPED_TEST(CompositingTest, ManySamplesTooThinToShowAloneAddUp) {
   constexpr int kSamples = 1 << 20;
   const std::vector<TypeParam> tau(kSamples, static_cast<TypeParam>(0x1p-27)), one(kSamples, 1);
-  EXPECT_NEAR(Weigh({0, kSamples}, tau, one).transmittance[0], std::exp(-0x1p-7), std::numeric_limits<TypeParam>::epsilon());
+  EXPECT_NEAR(Weigh({0, kSamples}, tau, one).transmittance[0], std::exp(-0x1p-7),
+              std::numeric_limits<TypeParam>::epsilon());
 }
 
 // Lengths by k and densities by 1/k describe the same scene.
@@ -145,9 +146,9 @@ TYPED_TEST(CompositingTest, NothingBehindTheStopHasWeightOrGradientAndNoWeightAb
   const auto samples = MakeSamples<TypeParam>(500, 1, 3);
   const auto full = Weigh(samples.offsets, samples.sigma, samples.delta);
   const auto stopped = Weigh(samples.offsets, samples.sigma, samples.delta, kStop);
-  const auto gradient = WeighBackward(samples.offsets, samples.delta, stopped,
-                                      std::vector<TypeParam>(samples.sigma.size(), 1),
-                                      std::vector<TypeParam>(stopped.transmittance.size(), 0));
+  const auto gradient =
+      WeighBackward(samples.offsets, samples.delta, stopped, std::vector<TypeParam>(samples.sigma.size(), 1),
+                    std::vector<TypeParam>(stopped.transmittance.size(), 0));
   int n_stopped = 0;
   for (size_t r = 0; r + 1 < samples.offsets.size(); ++r) {
     for (int64_t i = samples.offsets[r]; i < samples.offsets[r + 1]; ++i) {
@@ -213,8 +214,9 @@ TEST(CompositingInDoubleTest, GradientMatchesFiniteDifferences) {
     for (size_t r = 0; r < dL_dtransmittance.size(); ++r) sum += dL_dtransmittance[r] * out.transmittance[r];
     return sum;
   };
-  const auto gradient = WeighBackward(samples.offsets, samples.delta,
-                                      Weigh(samples.offsets, samples.sigma, samples.delta), dL_dweights, dL_dtransmittance);
+  const auto gradient =
+      WeighBackward(samples.offsets, samples.delta, Weigh(samples.offsets, samples.sigma, samples.delta), dL_dweights,
+                    dL_dtransmittance);
   for (size_t i = 0; i < samples.sigma.size(); ++i) {
     auto up = samples.sigma, down = samples.sigma;
     const double h = 1e-4 / samples.delta[i];

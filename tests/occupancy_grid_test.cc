@@ -1,12 +1,13 @@
 // The occupancy grid: what it keeps, what it forgets, what cameras see.
 
+#include "render/occupancy_grid.h"
+
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <random>
 
 #include "pipeline/error.h"
-#include "render/occupancy_grid.h"
 #include "tests/analytic_field.h"
 
 namespace nrff {
@@ -15,7 +16,14 @@ namespace {
 constexpr int kResolution = 32;
 
 OccupancyGrid::UpdateOptions FullUpdate() {
-  return {.step = 0.05, .decay = 0.5F, .threshold = 0.05F, .n_random = 0, .n_occupied = 0, .seed = 1, .counter = 0, .dilate = false};
+  return {.step = 0.05,
+          .decay = 0.5F,
+          .threshold = 0.05F,
+          .n_random = 0,
+          .n_occupied = 0,
+          .seed = 1,
+          .counter = 0,
+          .dilate = false};
 }
 
 // Distances from the centre of the nearest and the farthest point of a cell.
@@ -182,7 +190,9 @@ TEST(OccupancyGridTest, EveryPointThatEnoughCamerasSeeIsInASampledCellAndFarFrom
           const double y = view.fy * scene[1] / z + view.cy;
           n_views += z > 0.05 && x >= 0 && x <= view.width && y >= 0 && y <= view.height ? 1 : 0;
         }
-        const auto cell = [](double f) { return std::min(static_cast<int>((f + 1) * 0.5 * kResolution), kResolution - 1); };
+        const auto cell = [](double f) {
+          return std::min(static_cast<int>((f + 1) * 0.5 * kResolution), kResolution - 1);
+        };
         if (n_views >= min_views) {
           ++n_seen;
           ASSERT_TRUE(grid.Occupied(cell(field[0]), cell(field[1]), cell(field[2])));

@@ -118,8 +118,8 @@ void ExpectRigidUprightAndLookingAt(const View& view, const Vec3& target) {
   }
   const Vec3 x = Column(m, 0), y = Column(m, 1), z = Column(m, 2), o = Column(m, 3);
   EXPECT_NEAR(x[1] * y[2] - x[2] * y[1], z[0], 1e-12);  // right-handed
-  EXPECT_NEAR(x[2], 0, 1e-12);                           // horizon level
-  EXPECT_LT(y[2], 0);                                    // image's down is scene's down
+  EXPECT_NEAR(x[2], 0, 1e-12);                          // horizon level
+  EXPECT_LT(y[2], 0);                                   // image's down is scene's down
   const Vec3 line{target[0] - o[0], target[1] - o[1], target[2] - o[2]};
   EXPECT_NEAR(Dot(line, z), std::sqrt(Dot(line, line)), 1e-9);
 }

@@ -27,7 +27,8 @@ using torch::Tensor;
 
 // Rays along z at the given impact parameters, from z = −2.
 Rays ParallelRays(const std::vector<double>& offsets, torch::Dtype type) {
-  Rays rays{at::zeros({static_cast<int64_t>(offsets.size()), 3}, type), at::zeros({static_cast<int64_t>(offsets.size()), 3}, type)};
+  Rays rays{at::zeros({static_cast<int64_t>(offsets.size()), 3}, type),
+            at::zeros({static_cast<int64_t>(offsets.size()), 3}, type)};
   for (size_t r = 0; r < offsets.size(); ++r) rays.origins[r][0] = offsets[r];
   rays.origins.select(1, 2).fill_(-2);
   rays.directions.select(1, 2).fill_(1);
@@ -35,17 +36,25 @@ Rays ParallelRays(const std::vector<double>& offsets, torch::Dtype type) {
 }
 
 RenderOptions Exact(double step) {
-  return {.step = step, .near = 0, .far = 10, .weight_threshold = 0, .stop_transmittance = 0, .background = 0.25, .jitter = {}};
+  return {.step = step,
+          .near = 0,
+          .far = 10,
+          .weight_threshold = 0,
+          .stop_transmittance = 0,
+          .background = 0.25,
+          .jitter = {}};
 }
 
 TEST(RenderRaysTest, OpacityOfAGaussianBallIsItsClosedForm) {
   const GaussianBall ball(torch::kDouble);
   const std::vector<double> offsets{0, 0.1, 0.3, 0.6};
-  const RenderResult result = RenderRays(ball, OccupancyGrid(32), SceneMap{}, ParallelRays(offsets, torch::kDouble), Exact(0.01));
+  const RenderResult result =
+      RenderRays(ball, OccupancyGrid(32), SceneMap{}, ParallelRays(offsets, torch::kDouble), Exact(0.01));
   for (size_t r = 0; r < offsets.size(); ++r) {
     const double s = 0.25, b = offsets[r];
     // The box cuts the Gaussian at z = ±1, four widths out.
-    const double thickness = 8 * s * std::sqrt(2 * M_PI) * std::exp(-b * b / (2 * s * s)) * std::erf(1 / (s * std::sqrt(2.)));
+    const double thickness =
+        8 * s * std::sqrt(2 * M_PI) * std::exp(-b * b / (2 * s * s)) * std::erf(1 / (s * std::sqrt(2.)));
     // Riemann sums of a smooth function that vanishes at the ends converge faster than any power; the ends leave
     // step·σ(±1).
     const double tolerance = 0.01 * 8 * std::exp(-8.);
@@ -146,7 +155,8 @@ TEST(RenderRaysTest, RaysThatMeetNothingAreBackgroundAndDoNotCallTheField) {
   EXPECT_EQ(ball.n_density + ball.n_shade, 0);
   EXPECT_TRUE(at::equal(result.rgb, at::full({2, 3}, 0.25)));
   EXPECT_TRUE(at::equal(result.opacity, at::zeros({2})));
-  RenderRays(GaussianBall(torch::kFloat, 0), OccupancyGrid(8), SceneMap{}, ParallelRays({0}, torch::kFloat), Exact(0.1));
+  RenderRays(GaussianBall(torch::kFloat, 0), OccupancyGrid(8), SceneMap{}, ParallelRays({0}, torch::kFloat),
+             Exact(0.1));
   const GaussianBall empty(torch::kFloat, 0);  // samples, but none with weight
   RenderRays(empty, OccupancyGrid(8), SceneMap{}, ParallelRays({0}, torch::kFloat), Exact(0.1));
   EXPECT_GT(empty.smallest_call, 0);
@@ -171,9 +181,9 @@ TEST(RenderRaysTest, TheWeightThresholdCostsAtMostTheWeightsLeftOut) {
 TEST(RenderRaysTest, UnusableOptionsAreInputErrors) {
   const GaussianBall ball(torch::kFloat);
   const Rays rays = ParallelRays({0}, torch::kFloat);
-  for (const RenderOptions& options : {Exact(0), Exact(-1), Exact(std::nan("")),
-                                       RenderOptions{.near = 2, .far = 1, .jitter = {}},
-                                       RenderOptions{.far = INFINITY, .jitter = {}}}) {
+  for (const RenderOptions& options :
+       {Exact(0), Exact(-1), Exact(std::nan("")), RenderOptions{.near = 2, .far = 1, .jitter = {}},
+        RenderOptions{.far = INFINITY, .jitter = {}}}) {
     EXPECT_THROW(RenderRays(ball, OccupancyGrid(8), SceneMap{}, rays, options), Error);
   }
 }
@@ -185,7 +195,8 @@ class ReferenceTest : public testing::Test {
   void SetUp() override {
     const char* given = std::getenv("NRFF_REFERENCE");
     const std::filesystem::path path =
-        given != nullptr ? given : std::filesystem::path(NRFF_SOURCE_DIR) / "../shared/reference/nrff_reference.safetensors";
+        given != nullptr ? given
+                         : std::filesystem::path(NRFF_SOURCE_DIR) / "../shared/reference/nrff_reference.safetensors";
     if (!std::filesystem::exists(path)) GTEST_SKIP() << "no reference at " << path << "; set NRFF_REFERENCE";
     file_ = std::make_unique<SafetensorsFile>(path);
   }
@@ -224,7 +235,8 @@ TEST_F(ReferenceTest, SamplesAreTheReferencesInsideSamples) {
   const int64_t n = CountSamplesCpu(args, offsets.data());
   std::vector<double> my_t(n), delta(n), points(3 * n);
   std::vector<int64_t> ray_index(n);
-  FillSamplesCpu(args, offsets.data(), SampleArrays<double>{my_t.data(), delta.data(), points.data(), ray_index.data()});
+  FillSamplesCpu(args, offsets.data(),
+                 SampleArrays<double>{my_t.data(), delta.data(), points.data(), ray_index.data()});
   for (int64_t r = 0; r < n_rays; ++r) {
     std::vector<double> expected;
     for (int64_t i = r * n_steps; i < (r + 1) * n_steps; ++i) {
@@ -272,8 +284,14 @@ TEST_F(ReferenceTest, WeightsAndBackgroundAreTheReferences) {
 Scene TwoViews() {
   Scene scene;
   for (int i = 0; i < 2; ++i) {
-    View view{.id = i == 0 ? "000000" : "000001", .name = "photo " + std::to_string(i), .width = 24, .height = 16,
-              .fx = 20, .fy = 20, .cx = 12, .cy = 8};
+    View view{.id = i == 0 ? "000000" : "000001",
+              .name = "photo " + std::to_string(i),
+              .width = 24,
+              .height = 16,
+              .fx = 20,
+              .fy = 20,
+              .cx = 12,
+              .cy = 8};
     view.split = Split::kTest;
     view.scene_from_camera = {1, 0, 0, 0.1 * i, 0, 1, 0, 0, 0, 0, 1, -2, 0, 0, 0, 1};
     scene.views.push_back(view);
@@ -314,7 +332,7 @@ TEST(RenderViewsTest, AViewThatWasFinishedIsKeptAndTheBytesAreTheSame) {
   EXPECT_EQ(ReadJson(directory.path() / kRendersFile), renders);
 }
 
-TEST(RenderViewsTest, ColoursThatAreNotNumbersAreReportedWithTheView) {
+TEST(RenderViewsTest, ValuesThatAreNotNumbersAreReportedWithTheView) {
   const TemporaryDirectory directory;
   const GaussianBall broken(torch::kFloat, std::nan(""));
   const OccupancyGrid grid(8);

@@ -1,5 +1,7 @@
 // Camera rays, sampling along rays and random numbers against first principles and brute force. No torch.
 
+#include "render/kernels/sampling.h"
+
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -11,7 +13,6 @@
 
 #include "render/kernels/camera_rays.h"
 #include "render/kernels/random.h"
-#include "render/kernels/sampling.h"
 
 namespace nrff {
 namespace {
@@ -102,8 +103,8 @@ Marched<Scalar> RunMarch(const MarchArgs<Scalar>& args) {
   out.t.assign(n, -1);
   out.delta.assign(n, -1);
   out.points.assign(3 * n, -9);
-  FillSamplesCpu(args, out.offsets.data(), SampleArrays<Scalar>{out.t.data(), out.delta.data(), out.points.data(),
-                                                               out.ray_index.data()});
+  FillSamplesCpu(args, out.offsets.data(),
+                 SampleArrays<Scalar>{out.t.data(), out.delta.data(), out.points.data(), out.ray_index.data()});
   return out;
 }
 
@@ -229,10 +230,10 @@ TEST(SamplingTest, UnboundedStepsAreTheStepInContractedLengthAndReachFar) {
 
 TEST(SamplingTest, RaysBesideOrBehindTheBoxHaveNoSamplesAndParallelOnesAreExact) {
   TestRays<float> rays;
-  rays.Add({0, 0, -3}, {0, 0, 1});    // through the middle
-  rays.Add({0, 1.5, -3}, {0, 0, 1});  // parallel, beside
-  rays.Add({0, 0, 3}, {0, 0, 1});     // behind the origin
-  rays.Add({1, 1, -3}, {0, 0, 1});    // along an edge: belongs to the box
+  rays.Add({0, 0, -3}, {0, 0, 1});     // through the middle
+  rays.Add({0, 1.5, -3}, {0, 0, 1});   // parallel, beside
+  rays.Add({0, 0, 3}, {0, 0, 1});      // behind the origin
+  rays.Add({1, 1, -3}, {0, 0, 1});     // along an edge: belongs to the box
   rays.Add({0, 0, 0}, {-1, 0, -0.0});  // from within
   const TestGrid grid = TestGrid::Full(8);
   auto args = MakeArgs(rays, grid, SceneMap{}, 0.25);

@@ -1,6 +1,6 @@
-#include "render/kernels/camera_rays.h"
-
 #include <cmath>
+
+#include "render/kernels/camera_rays.h"
 
 namespace nrff {
 

@@ -36,13 +36,13 @@ template <typename Scalar>
 struct WeightsBackwardArgs {
   // inputs
   int64_t n_rays = 0;
-  const int64_t* ray_offsets = nullptr;      // [n_rays + 1]
-  const Scalar* delta = nullptr;             // [n_samples]
-  const Scalar* weights = nullptr;           // [n_samples] as WeightsForwardCpu left them, like the next two
-  const Scalar* transmittance = nullptr;     // [n_rays]
-  const int64_t* n_reached = nullptr;        // [n_rays]
-  const Scalar* dL_dweights = nullptr;       // [n_samples]
-  const Scalar* dL_dtransmittance = nullptr; // [n_rays]
+  const int64_t* ray_offsets = nullptr;       // [n_rays + 1]
+  const Scalar* delta = nullptr;              // [n_samples]
+  const Scalar* weights = nullptr;            // [n_samples] as WeightsForwardCpu left them, like the next two
+  const Scalar* transmittance = nullptr;      // [n_rays]
+  const int64_t* n_reached = nullptr;         // [n_rays]
+  const Scalar* dL_dweights = nullptr;        // [n_samples]
+  const Scalar* dL_dtransmittance = nullptr;  // [n_rays]
   // output, overwritten
   Scalar* dL_dsigma = nullptr;  // [n_samples]
 };

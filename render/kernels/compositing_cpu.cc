@@ -1,7 +1,7 @@
-#include "render/kernels/compositing.h"
-
 #include <algorithm>
 #include <cmath>
+
+#include "render/kernels/compositing.h"
 
 namespace nrff {
 namespace {
@@ -36,8 +36,8 @@ void WeightsBackwardCpu(const WeightsBackwardArgs<Scalar>& args) {
   for (int64_t r = 0; r < args.n_rays; ++r) {
     const int64_t begin = args.ray_offsets[r], reached = begin + args.n_reached[r];
     std::fill(args.dL_dsigma + reached, args.dL_dsigma + args.ray_offsets[r + 1], Scalar(0));
-    Scalar transmittance = args.transmittance[r];                   // T_{i+1}
-    Scalar behind = args.dL_dtransmittance[r] * transmittance;      // what the samples behind and T_end contribute
+    Scalar transmittance = args.transmittance[r];               // T_{i+1}
+    Scalar behind = args.dL_dtransmittance[r] * transmittance;  // what the samples behind and T_end contribute
     for (int64_t i = reached - 1; i >= begin; --i) {
       args.dL_dsigma[i] = args.delta[i] * (args.dL_dweights[i] * transmittance - behind);
       behind += args.dL_dweights[i] * args.weights[i];
@@ -98,12 +98,12 @@ void AccumulateBackwardCpu(const AccumulateBackwardArgs<Scalar>& args) {
   }
 }
 
-#define NRFF_INSTANTIATE(Scalar)                                                             \
-  template void WeightsForwardCpu(const WeightsArgs<Scalar>&);                               \
-  template void WeightsBackwardCpu(const WeightsBackwardArgs<Scalar>&);                      \
-  template int64_t CountSelectedCpu(const SelectArgs<Scalar>&, int64_t*);                    \
-  template void FillSelectedCpu(const SelectArgs<Scalar>&, const int64_t*, int64_t*);        \
-  template void AccumulateForwardCpu(const AccumulateArgs<Scalar>&);                         \
+#define NRFF_INSTANTIATE(Scalar)                                                      \
+  template void WeightsForwardCpu(const WeightsArgs<Scalar>&);                        \
+  template void WeightsBackwardCpu(const WeightsBackwardArgs<Scalar>&);               \
+  template int64_t CountSelectedCpu(const SelectArgs<Scalar>&, int64_t*);             \
+  template void FillSelectedCpu(const SelectArgs<Scalar>&, const int64_t*, int64_t*); \
+  template void AccumulateForwardCpu(const AccumulateArgs<Scalar>&);                  \
   template void AccumulateBackwardCpu(const AccumulateBackwardArgs<Scalar>&);
 NRFF_INSTANTIATE(float)
 NRFF_INSTANTIATE(double)

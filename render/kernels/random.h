@@ -11,10 +11,10 @@ namespace nrff {
 
 // What random numbers are drawn for. Values are part of what makes a run repeatable: never renumber.
 enum class RandomStream : uint64_t {
-  kRayJitter = 1,       // counter: ray of the batch
-  kOccupancyCells = 2,  // counter: draw
-  kOccupancyJitter = 3, // counter: 3·draw + axis
-  kBatch = 4,           // counter: draw
+  kRayJitter = 1,        // counter: ray of the batch
+  kOccupancyCells = 2,   // counter: draw
+  kOccupancyJitter = 3,  // counter: 3·draw + axis
+  kBatch = 4,            // counter: draw
   kInitialisation = 5,
   kBackground = 6,
 };

@@ -38,10 +38,10 @@ struct MarchArgs {
 };
 
 template <typename Scalar>
-struct SampleArrays {        // outputs, overwritten; n_samples = ray_offsets[n_rays]
-  Scalar* t = nullptr;       // [n_samples] scene units along the ray, increasing within a ray
-  Scalar* delta = nullptr;   // [n_samples]
-  Scalar* points = nullptr;  // [n_samples, 3] field coordinates
+struct SampleArrays {            // outputs, overwritten; n_samples = ray_offsets[n_rays]
+  Scalar* t = nullptr;           // [n_samples] scene units along the ray, increasing within a ray
+  Scalar* delta = nullptr;       // [n_samples]
+  Scalar* points = nullptr;      // [n_samples, 3] field coordinates
   int64_t* ray_index = nullptr;  // [n_samples]
 };
 

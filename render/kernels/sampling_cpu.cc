@@ -1,10 +1,9 @@
-#include "render/kernels/sampling.h"
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
 
 #include "render/kernels/random.h"
+#include "render/kernels/sampling.h"
 
 namespace nrff {
 namespace {
@@ -12,9 +11,7 @@ namespace {
 // Cells of the point's three axes.
 struct Cell {
   int x, y, z;
-  bool SameBlock(const Cell& other) const {
-    return ((x ^ other.x) | (y ^ other.y) | (z ^ other.z)) < kOccupancyBlock;
-  }
+  bool SameBlock(const Cell& other) const { return ((x ^ other.x) | (y ^ other.y) | (z ^ other.z)) < kOccupancyBlock; }
 };
 
 // One ray against one grid. Positions are affine in t: u = uo + t·ud with the box at |u| ≤ 1.
@@ -135,8 +132,8 @@ class RayMarcher {
 
   // max(1, |u|∞), and the step in t there.
   Scalar Norm(Scalar t) const {
-    return std::max({Scalar(1), std::abs(uo_[0] + t * ud_[0]), std::abs(uo_[1] + t * ud_[1]),
-                     std::abs(uo_[2] + t * ud_[2])});
+    return std::max(
+        {Scalar(1), std::abs(uo_[0] + t * ud_[0]), std::abs(uo_[1] + t * ud_[1]), std::abs(uo_[2] + t * ud_[2])});
   }
   Scalar OutsideStep(Scalar norm) const { return step_ * norm * norm; }
 
@@ -163,10 +160,10 @@ class RayMarcher {
 
   OccupancyBits bits_;
   int last_cell_;
-  Scalar uo_[3], ud_[3];                     // box coordinates: u = uo + t·ud
-  Scalar cell_origin_[3], cell_speed_[3];    // cell coordinates inside the box: cell_origin + t·cell_speed
-  Scalar cell_time_[3];                      // 1 / cell_speed
-  Scalar enter_, exit_, near_, far_;         // along the ray
+  Scalar uo_[3], ud_[3];                   // box coordinates: u = uo + t·ud
+  Scalar cell_origin_[3], cell_speed_[3];  // cell coordinates inside the box: cell_origin + t·cell_speed
+  Scalar cell_time_[3];                    // 1 / cell_speed
+  Scalar enter_, exit_, near_, far_;       // along the ray
   Scalar half_resolution_, field_scale_, jitter_, step_;  // step: in t, inside the box
 };
 
