@@ -19,6 +19,9 @@ namespace {
 namespace fs = std::filesystem;
 using Clock = std::chrono::steady_clock;
 
+// COLMAP allows 4 px, meant for photos of 3200 px: on smaller copies that lets wrong matches bend the cameras.
+constexpr char kInlier_px[] = "2";
+
 double SecondsSince(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
 
 // The number that follows `marker` in a line COLMAP printed.
@@ -158,6 +161,7 @@ class Reconstruction {
       options.insert(options.end(), {{"match_list_path", list_file.native()},
                                      {"match_type", "pairs"},
                                      {"SiftMatching.use_gpu", "0"},
+                                     {"SiftMatching.max_error", kInlier_px},
                                      {"SiftMatching.num_threads", Threads()}});
       colmap_.RunOrThrow("matches_importer", options, 600 + 60 * double(n));
       done += n;
@@ -195,6 +199,10 @@ class Reconstruction {
     options.insert(options.end(), {{"image_path", photos_.native()},
                                    {"output_path", models.native()},
                                    {"Mapper.num_threads", Threads()},
+                                   {"Mapper.init_max_error", kInlier_px},
+                                   {"Mapper.filter_max_reproj_error", kInlier_px},
+                                   {"Mapper.tri_complete_max_reproj_error", kInlier_px},
+                                   {"Mapper.tri_merge_max_reproj_error", kInlier_px},
                                    {"Mapper.min_model_size", "3"}});
     if (settings_.tolerant_mapping) {
       options.insert(options.end(), {{"Mapper.init_min_tri_angle", "8"},

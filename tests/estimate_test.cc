@@ -1,0 +1,269 @@
+// Poses from photos, with a COLMAP made of a shell script: every way it may behave, and one run of the real program.
+#include "sfm/estimate.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sqlite3.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+
+#include "sfm/colmap_database.h"
+#include "sfm/image_pairs.h"
+#include "sfm/ingest.h"
+#include "sfm/working_photos.h"
+#include "tests/pose_fixture.h"
+#include "tests/temporary_directory.h"
+
+namespace nrff {
+namespace {
+
+namespace fs = std::filesystem;
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::Not;
+
+// Answers as COLMAP 3.8, unless $FAKE/COMMAND is a script to run instead. Every call is written to $FAKE/calls. The
+// database and the models it "computes" are those that lie in $FAKE.
+constexpr char kFakeColmap[] = R"sh(#!/bin/sh
+command=$1; shift
+case "$1" in
+  --help) [ -e "$FAKE/help" ] && cat "$FAKE/help"; exit 0 ;;
+esac
+[ "$command" = help ] && { echo "COLMAP 3.8 -- Structure-from-Motion"; exit 0; }
+echo "$command $*" >> "$FAKE/calls"
+[ -e "$FAKE/$command" ] && exec sh "$FAKE/$command"
+while [ $# -gt 1 ]; do
+  case $1 in --database_path) database=$2 ;; --output_path) output=$2 ;; esac
+  shift 2
+done
+case $command in
+  feature_extractor) cp "$FAKE/database.db" "$database"; echo "Processed file [1/8]" ;;
+  mapper) cp -r "$FAKE"/models/. "$output"; echo "Registering image #1 (3)" ;;
+esac
+)sh";
+
+constexpr char kHelp38[] =
+    "--database_path arg\n--image_path arg\n--output_path arg\n--image_list_path arg\n--match_list_path arg\n--random_seed arg\n"
+    "--SiftExtraction.use_gpu arg\n--SiftMatching.use_gpu arg\n--Mapper.min_model_size arg\n";
+constexpr char kHelp313[] =
+    "--database_path arg\n--image_path arg\n--output_path arg\n--image_list_path arg\n--match_list_path arg\n"
+    "--default_random_seed arg\n--FeatureExtraction.use_gpu arg\n--FeatureMatching.use_gpu arg\n--Mapper.min_model_size arg\n";
+
+class Estimate : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    fs::create_directories(fake_ / "models");
+    Script("colmap", kFakeColmap);
+    fs::permissions(fake_ / "colmap", fs::perms::owner_all);
+    WriteFileAtomically(fake_ / "help", kHelp38);
+    setenv("FAKE", fake_.c_str(), 1);
+    setenv("NRFF_COLMAP", (fake_ / "colmap").c_str(), 1);
+    capture_ = MakeCapture(dir_.path() / "photos", 8, false);
+    fs::create_directories(ingest_);
+    SaveCapture(capture_, ingest_);
+    MakeDatabase(100);
+  }
+  void TearDown() override {
+    unsetenv("FAKE");
+    unsetenv("NRFF_COLMAP");
+  }
+
+  void Script(const std::string& command, const std::string& text) { WriteFileAtomically(fake_ / command, text); }
+
+  // COLMAP's tables with all photos, 1000 features each, all pairs with `n_matches` verified matches.
+  void MakeDatabase(int n_matches) {
+    fs::remove(fake_ / "database.db");
+    std::string sql =
+        "CREATE TABLE images (image_id INTEGER PRIMARY KEY, name TEXT, camera_id INTEGER);"
+        "CREATE TABLE keypoints (image_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
+        "CREATE TABLE two_view_geometries (pair_id INTEGER PRIMARY KEY, rows INTEGER);";
+    for (size_t i = 0; i < capture_.images.size(); ++i) {
+      const std::string id = std::to_string(i + 1);
+      sql += "INSERT INTO images VALUES (" + id + ", '" + WorkingPhotoName(capture_.images[i]) + "', 1);";
+      sql += "INSERT INTO keypoints VALUES (" + id + ", 1000, 6, NULL);";
+    }
+    for (const auto& [a, b] : AllPairs(8)) {
+      sql += "INSERT INTO two_view_geometries VALUES (" + std::to_string(2147483647LL * (a + 1) + b + 1) + ", " + std::to_string(n_matches) + ");";
+    }
+    sqlite3* database = nullptr;
+    ASSERT_EQ(sqlite3_open((fake_ / "database.db").c_str(), &database), SQLITE_OK);
+    ASSERT_EQ(sqlite3_exec(database, sql.c_str(), nullptr, nullptr, nullptr), SQLITE_OK);
+    sqlite3_close(database);
+  }
+
+  // What the mapper finds: model `number` of these photos.
+  void AddModel(int number, const std::vector<int>& photos) {
+    std::vector<std::string> names;
+    for (const int i : photos) names.push_back(WorkingPhotoName(capture_.images[size_t(i)]));
+    const fs::path dir = fake_ / "models" / std::to_string(number);
+    fs::create_directories(dir);
+    WriteColmapBinary(MakeModel(names, 32, 24, -0.05), dir);
+  }
+
+  Manifest Run(const EstimateOptions& options = {}) {
+    ArtifactWriter artifact("sfm", sfm_, {}, {}, ArtifactWriter::kKeepPartial);
+    EstimatePoses(ingest_, options, artifact);
+    artifact.Commit();
+    return RequireArtifact(sfm_, "sfm");
+  }
+
+  template <typename Matcher>
+  void ExpectError(ExitCode code, const Matcher& matcher, const EstimateOptions& options = {}) {
+    try {
+      Run(options);
+      FAIL();
+    } catch (const Error& error) {
+      EXPECT_EQ(error.code(), code) << error.what();
+      EXPECT_THAT(error.what(), matcher);
+    }
+    EXPECT_FALSE(fs::exists(sfm_));
+  }
+
+  std::string Calls() { return fs::exists(fake_ / "calls") ? ReadFile(fake_ / "calls") : std::string(); }
+
+  TemporaryDirectory dir_;
+  fs::path fake_ = dir_.path() / "fake", ingest_ = dir_.path() / "ingest", sfm_ = dir_.path() / "sfm";
+  Capture capture_;
+};
+
+TEST_F(Estimate, TheModelComesNamedByIdAndAtThePhotosSize) {
+  AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
+  const Manifest manifest = Run();
+  const ColmapModel model = ReadColmapModel(sfm_ / "sparse");
+  ASSERT_EQ(model.images.size(), 8u);
+  EXPECT_EQ(model.images.begin()->second.name, "000000");
+  const ColmapCamera& camera = model.cameras.begin()->second;
+  EXPECT_EQ(camera.width, 64);
+  EXPECT_EQ(camera.height, 48);
+  EXPECT_DOUBLE_EQ(camera.params[0], 1.2 * 64);
+  EXPECT_DOUBLE_EQ(camera.params[3], -0.05);
+  // Observations move with it: the same as those of a model made at this size.
+  const ColmapModel expected = MakeModel(std::vector<std::string>(8), 64, 48, -0.05);
+  EXPECT_NEAR(model.images.at(12).observations[7].x, expected.images.at(12).observations[7].x, 1e-9);
+  EXPECT_EQ(manifest.facts.at("n_registered"), 8);
+  EXPECT_EQ(manifest.facts.at("n_registered_test"), 3);
+  EXPECT_EQ(manifest.facts.at("reprojection_error_px"), 1.0);  // 0.5 px of a photo half the size
+  EXPECT_EQ(manifest.facts.at("colmap_version"), "3.8");
+  EXPECT_FALSE(fs::exists(sfm_ / "work"));
+  EXPECT_TRUE(fs::exists(sfm_ / "colmap.log"));
+}
+
+TEST_F(Estimate, TheLargestOfSeveralModelsIsTaken) {
+  AddModel(0, {0, 1, 2});
+  AddModel(1, {0, 1, 3, 4, 5, 6, 7});
+  AddModel(2, {2, 3, 4});
+  const Manifest manifest = Run();
+  EXPECT_EQ(manifest.facts.at("n_registered"), 7);
+  EXPECT_EQ(manifest.facts.at("n_models"), 3);
+  EXPECT_EQ(manifest.facts.at("unregistered"), Json({"photo 2.png"}));
+}
+
+TEST_F(Estimate, TooFewPhotosAreTriedOnceMoreWithMore) {
+  AddModel(0, {0, 1, 2, 3, 4});
+  const Manifest manifest = Run();
+  ASSERT_EQ(manifest.facts.at("attempts").size(), 2u);
+  EXPECT_EQ(manifest.facts.at("attempts")[0].at("n_registered"), 5);
+  EXPECT_GT(manifest.facts.at("attempts")[1].at("max_features"), manifest.facts.at("attempts")[0].at("max_features"));
+}
+
+TEST_F(Estimate, LessThanHalfThePhotosIsAnErrorWithADiagnosis) {
+  AddModel(0, {0, 1, 2});
+  MakeDatabase(20);
+  ExpectError(ExitCode::kInput, AllOf(HasSubstr("only 3 of 8 photos could be placed"), HasSubstr("photo 5.png (20)"),
+                                      HasSubstr("overlap too little")));
+}
+
+TEST_F(Estimate, PhotosFromOnePlaceAreDiagnosed) {
+  Script("mapper", "echo 'ERROR: failed to create sparse model' >&2; exit 1");
+  MakeDatabase(900);
+  ExpectError(ExitCode::kInput, AllOf(HasSubstr("only 0 of 8"), HasSubstr("move the camera")));
+}
+
+TEST_F(Estimate, SaysHowToInstallAMissingColmap) {
+  setenv("NRFF_COLMAP", "/no/such/colmap", 1);
+  ExpectError(ExitCode::kExternalTool, AllOf(HasSubstr("/no/such/colmap"), HasSubstr("apt-get install colmap")));
+}
+
+TEST_F(Estimate, AProgramThatIsNotColmapIsAnError) {
+  setenv("NRFF_COLMAP", "/bin/echo", 1);
+  ExpectError(ExitCode::kExternalTool, HasSubstr("does not say that it is COLMAP"));
+}
+
+TEST_F(Estimate, AFailingColmapIsQuoted) {
+  Script("feature_extractor", "echo working; echo 'Check failed: no memory' >&2; exit 134");
+  ExpectError(ExitCode::kExternalTool,
+              AllOf(HasSubstr("feature_extractor exited with status 134"), HasSubstr("Check failed: no memory"), HasSubstr("colmap.log")));
+}
+
+TEST_F(Estimate, ACrashingMapperIsNotADiagnosis) {
+  Script("mapper", "kill -SEGV $$");
+  ExpectError(ExitCode::kExternalTool, AllOf(HasSubstr("mapper"), HasSubstr("signal 11")));
+}
+
+TEST_F(Estimate, AHangingColmapIsStopped) {
+  Script("feature_extractor", "sleep 60");
+  EstimateOptions options;
+  options.stall_limit_seconds = 0.5;
+  ExpectError(ExitCode::kExternalTool, HasSubstr("neither printed nor used the processor"), options);
+}
+
+TEST_F(Estimate, SpeaksTheNamesOfOldAndNewColmaps) {
+  AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
+  Run();
+  EXPECT_THAT(Calls(), AllOf(HasSubstr("--SiftExtraction.use_gpu 0"), HasSubstr("--random_seed 0"), Not(HasSubstr("Feature"))));
+  fs::remove(fake_ / "calls");
+  WriteFileAtomically(fake_ / "help", kHelp313);
+  Run();
+  EXPECT_THAT(Calls(), AllOf(HasSubstr("--FeatureExtraction.use_gpu 0"), HasSubstr("--default_random_seed 0"),
+                             Not(HasSubstr("Sift"))));
+}
+
+TEST_F(Estimate, AnInterruptedRunGoesOn) {
+  AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
+  Script("mapper", "exit 1");
+  ExpectError(ExitCode::kExternalTool, HasSubstr("mapper"));
+  fs::remove(fake_ / "mapper");
+  fs::remove(fake_ / "calls");
+  Run();
+  EXPECT_THAT(Calls(), AllOf(HasSubstr("mapper"), Not(HasSubstr("feature_extractor")), Not(HasSubstr("matches_importer"))));
+}
+
+TEST(ImagePairs, SequentialPairsHoldNeighboursAndGrowSlowly) {
+  for (const int n : {2, 3, 50, 500}) {
+    const std::vector<ImagePair> pairs = SequentialPairs(n, 6);
+    for (int distance = 1; distance <= std::min(6, n - 1); ++distance) {
+      for (int i = 0; i + distance < n; ++i) {
+        EXPECT_TRUE(std::binary_search(pairs.begin(), pairs.end(), ImagePair(i, i + distance)));
+      }
+    }
+    EXPECT_EQ(std::adjacent_find(pairs.begin(), pairs.end()), pairs.end());
+    EXPECT_LE(double(pairs.size()), n * (8 + 4 * std::log2(n)));
+    for (const auto& [a, b] : pairs) EXPECT_TRUE(0 <= a && a < b && b < n);
+  }
+  EXPECT_EQ(AllPairs(11).size(), 55u);
+}
+
+TEST(EstimateWithColmap, ARealCaptureRegisters) {
+  const char* given = std::getenv("NRFF_DATA");
+  const fs::path data = given ? fs::path(given) : fs::path(NRFF_SOURCE_DIR) / ".." / "shared" / "data";
+  const fs::path photos = data / "photos" / "kermit";
+  if (!fs::exists(photos)) GTEST_SKIP() << "no photos at " << photos;
+  if (std::system("command -v colmap >/dev/null") != 0) GTEST_SKIP() << "COLMAP is not installed";
+  TemporaryDirectory dir;
+  {
+    ArtifactWriter artifact("ingest", dir.path() / "ingest", {}, {});
+    Ingest(photos, 2, artifact);
+    artifact.Commit();
+  }
+  ArtifactWriter artifact("sfm", dir.path() / "sfm", {}, {}, ArtifactWriter::kKeepPartial);
+  EstimateOptions options;
+  options.n_threads = 2;
+  EstimatePoses(dir.path() / "ingest", options, artifact);
+  EXPECT_GE(artifact.facts().at("n_registered"), 9);
+  EXPECT_LT(artifact.facts().at("reprojection_error_px"), 1.0);
+}
+
+}  // namespace
+}  // namespace nrff

@@ -1,0 +1,184 @@
+// The pose stage: what it writes shows the capture's world from the capture's cameras.
+#include "sfm/scene_pack.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <Eigen/LU>
+
+#include "pipeline/scene.h"
+#include "sfm/transforms_json.h"
+#include "tests/pose_fixture.h"
+#include "tests/temporary_directory.h"
+
+namespace nrff {
+namespace {
+
+namespace fs = std::filesystem;
+using ::testing::HasSubstr;
+
+class ScenePack : public ::testing::Test {
+ protected:
+  void Make(int n, double k, std::vector<int> registered = {}) {
+    capture_ = MakeCapture(dir_.path() / "photos", n, true);
+    fs::create_directories(ingest_);
+    SaveCapture(capture_, ingest_);
+    std::vector<std::string> names;
+    for (int i = 0; i < n; ++i) {
+      if (registered.empty() || std::count(registered.begin(), registered.end(), i)) names.push_back(Id(i));
+    }
+    model_ = MakeModel(names, 64, 48, k);
+    fs::create_directories(ingest_ / "sparse");
+    WriteColmapBinary(model_, ingest_ / "sparse");
+  }
+
+  Manifest Write(const PoseOptions& options = {}) {
+    ArtifactWriter artifact("pose", pose_, {}, {});
+    WriteScene(ingest_, ingest_ / "sparse", options, artifact);
+    artifact.Commit();
+    return RequireArtifact(pose_, "pose");
+  }
+
+  void ExpectInputError(const std::string& text) {
+    try {
+      Write();
+      FAIL();
+    } catch (const Error& error) {
+      EXPECT_EQ(error.code(), ExitCode::kInput);
+      EXPECT_THAT(error.what(), HasSubstr(text));
+    }
+  }
+
+  TemporaryDirectory dir_;
+  fs::path ingest_ = dir_.path() / "ingest", pose_ = dir_.path() / "pose";
+  Capture capture_;
+  ColmapModel model_;
+};
+
+Eigen::Vector3d Apply(const Mat4& m, const Eigen::Vector3d& p) {
+  return Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(m.data()).topRows<3>() * p.homogeneous();
+}
+
+TEST_F(ScenePack, PointsProjectToWhereTheLensHadThem) {
+  for (const double k : {0.0, -0.05}) {
+    SCOPED_TRACE(k);
+    Make(6, k);
+    Write();
+    const Scene scene = LoadScene(pose_);
+    const ColmapModel pinhole = ReadColmapModel(pose_ / "sparse");
+    ASSERT_EQ(scene.views.size(), 6u);
+    size_t n_compared = 0;
+    for (const View& view : scene.views) {
+      const ColmapImage* image = nullptr;
+      for (const auto& [id, candidate] : pinhole.images) {
+        if (candidate.name == view.name) image = &candidate;
+      }
+      ASSERT_TRUE(image) << view.name;
+      for (const ColmapObservation& observation : image->observations) {
+        const Eigen::Vector3d in_scene = Apply(scene.scene_from_world, model_.points.at(uint64_t(observation.point_id)).position);
+        const Eigen::Vector3d p = Apply(InverseSimilarity(view.scene_from_camera), in_scene);
+        EXPECT_NEAR(view.fx * p.x() / p.z() + view.cx, observation.x, 1e-6);
+        EXPECT_NEAR(view.fy * p.y() / p.z() + view.cy, observation.y, 1e-6);
+        ++n_compared;
+      }
+    }
+    EXPECT_GT(n_compared, 6 * 30u);
+  }
+}
+
+TEST_F(ScenePack, WithoutDistortionThePhotosArePackedUnchanged) {
+  Make(4, 0);
+  const Manifest manifest = Write();
+  EXPECT_FALSE(manifest.facts.at("undistorted"));
+  const Scene scene = LoadScene(pose_);
+  const ImagePack pack(pose_);
+  for (size_t i = 0; i < scene.views.size(); ++i) {
+    const Image photo = ReadImageOriented(capture_.root / capture_.images[i].path);
+    const uint8_t* pixels = pack.Pixels(scene.views[i]);
+    EXPECT_EQ(std::vector<uint8_t>(pixels, pixels + scene.views[i].PixelBytes()), photo.pixels);
+    EXPECT_EQ(scene.views[i].split, capture_.images[i].split);
+  }
+}
+
+TEST_F(ScenePack, BytesDoNotDependOnTheNumberOfThreads) {
+  Make(7, -0.05);
+  PoseOptions options;
+  options.max_image_size = 40;
+  const std::string one = Write(options).ContentHash();
+  options.n_threads = 4;
+  EXPECT_EQ(Write(options).ContentHash(), one);
+}
+
+TEST_F(ScenePack, ViewsWithoutAPoseAreLeftOutAndListed) {
+  Make(6, 0, {0, 1, 2, 4});
+  const Manifest manifest = Write();
+  EXPECT_EQ(manifest.facts.at("unregistered"), Json({"photo 3.png", "photo 5.png"}));
+  EXPECT_EQ(manifest.facts.at("n_views_train"), 3);
+  EXPECT_EQ(manifest.facts.at("n_views_test"), 1);
+}
+
+TEST_F(ScenePack, TransformsJsonHoldsTheSameCameras) {
+  Make(5, -0.05);
+  Write();
+  fs::copy(capture_.root, pose_, fs::copy_options::recursive | fs::copy_options::skip_existing);  // so that file_path is found
+  const auto source = ReadTransformsSource(pose_);
+  ASSERT_TRUE(source && source->model);
+  const ColmapModel pinhole = ReadColmapModel(pose_ / "sparse");
+  ASSERT_EQ(source->model->images.size(), 5u);
+  for (const auto& [id, image] : source->model->images) {
+    for (const auto& [other_id, other] : pinhole.images) {
+      if (other.name != image.name) continue;
+      EXPECT_LT((image.Center() - other.Center()).norm(), 1e-9);
+      EXPECT_LT(image.rotation.angularDistance(other.rotation), 1e-7);
+      const std::vector<double>& params = source->model->cameras.at(image.camera_id).params;
+      EXPECT_NEAR(params[0], pinhole.cameras.at(other.camera_id).params[0], 1e-6);
+    }
+  }
+}
+
+TEST_F(ScenePack, PointsComeInTheSceneFrame) {
+  Make(4, 0);
+  Write();
+  const std::string ply = ReadFile(pose_ / "points.ply");
+  EXPECT_THAT(ply, HasSubstr("element vertex 40\n"));
+  const size_t body = ply.find("end_header\n") + 11;
+  ASSERT_EQ(ply.size() - body, 40 * 15u);
+  float xyz[3];
+  std::memcpy(xyz, ply.data() + body, sizeof xyz);
+  const Eigen::Vector3d expected = Apply(LoadScene(pose_).scene_from_world, model_.points.begin()->second.position);
+  for (int i = 0; i < 3; ++i) EXPECT_NEAR(xyz[i], expected[i], 1e-5);
+  EXPECT_EQ(uint8_t(ply[body + 14]), 200);
+}
+
+TEST_F(ScenePack, DecisionsCanBeForced) {
+  Make(4, -0.05);
+  PoseOptions options;
+  options.undistortion = false;
+  options.contraction = false;
+  const Manifest manifest = Write(options);
+  EXPECT_FALSE(manifest.facts.at("undistorted"));
+  EXPECT_FALSE(manifest.facts.at("unbounded"));
+  for (const Decision& decision : manifest.decisions) EXPECT_EQ(decision.reason, "forced by an option");
+}
+
+TEST_F(ScenePack, APhotoThatChangedIsNamed) {
+  Make(4, 0);
+  WriteFileAtomically(capture_.root / "photo 2.png", "other");
+  ExpectInputError("photo 2.png has changed since it was ingested");
+  EXPECT_FALSE(fs::exists(pose_));
+}
+
+TEST_F(ScenePack, TwoTrainingViewsAreNeeded) {
+  Make(6, 0, {0, 1, 3});
+  ExpectInputError("only 1 of the training photos");
+}
+
+TEST_F(ScenePack, ACameraOfAnotherSizeIsAnError) {
+  Make(4, 0);
+  model_.cameras[3].width = 128;
+  WriteColmapBinary(model_, ingest_ / "sparse");
+  ExpectInputError("64×48");
+}
+
+}  // namespace
+}  // namespace nrff
