@@ -74,8 +74,12 @@ void PrintScores(const Json& metrics) {
   size_t width = 4;
   for (const Json& image : metrics.at("images")) width = std::max(width, image.at("name").get<std::string>().size());
   const auto row = [&](const std::string& name, const Json& scores) {
-    std::cout << fmt::format("{:<{}}  {:6.2f}  {:.4f}\n", name, width, scores.at("psnr").get<double>(),
-                             scores.at("ssim").get<double>());
+    // A score can be null: identical images, images smaller than the SSIM window, no held-out view.
+    const auto figure = [&](const char* metric, const char* format) {
+      const Json& score = scores.at(metric);
+      return score.is_null() ? std::string("—") : fmt::format(fmt::runtime(format), score.get<double>());
+    };
+    std::cout << fmt::format("{:<{}}  {:>6}  {:>6}\n", name, width, figure("psnr", "{:.2f}"), figure("ssim", "{:.4f}"));
   };
   std::cout << fmt::format("{:<{}}  {:>6}  {:>6}\n", "view", width, "PSNR", "SSIM");
   for (const Json& image : metrics.at("images")) row(image.at("name").get<std::string>(), image);

@@ -194,9 +194,22 @@ std::string HashTree(const fs::path& root) {
   if (!fs::exists(root, error)) throw InputError(EscapePath(root) + " does not exist: give a capture's folder");
   std::string listing;
   for (const fs::path& file : ListFiles(root)) {
-    listing += EscapePath(file.lexically_relative(root)) + '\n' + HashFile(file) + '\n';
+    std::string content;
+    try {
+      content = HashFile(file);
+    } catch (const Error&) {
+      content = "unreadable";  // whoever needs the file reports it by name
+    }
+    listing += EscapePath(file.lexically_relative(root)) + '\n' + content + '\n';
   }
   return HashBytes(listing);
+}
+
+fs::path CaptureFolderName(const fs::path& capture) {
+  const fs::path name = capture.filename();
+  const bool generic = name == "images" || name == "photos" || name == "input" || name == "frames";
+  const fs::path parent = capture.parent_path().filename();
+  return generic && !parent.empty() ? parent : name;
 }
 
 std::string EscapePath(const fs::path& path) {

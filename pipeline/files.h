@@ -32,10 +32,15 @@ std::string HashFile(const std::filesystem::path& path);
 // hidden files and unreadable directories are passed over.
 std::vector<std::filesystem::path> ListFiles(const std::filesystem::path& root);
 
-// Hash over (relative path, content hash) of every file `ListFiles` finds. Throws InputError when `root` is absent.
+// Hash over (relative path, content hash) of every file `ListFiles` finds; a file that cannot be read counts by its
+// name. Throws InputError when `root` is absent.
 std::string HashTree(const std::filesystem::path& root);
 
 inline constexpr char kWorkspaceMarker[] = "nrff-workspace.json";
+
+// What people call a capture: its folder's name, or the parent's where the folder only says what is in it ("images",
+// "photos", "input", "frames").
+std::filesystem::path CaptureFolderName(const std::filesystem::path& capture);
 
 // Reversible text form of a file name that may hold any byte: '%', control characters and bytes that are not valid
 // UTF-8 become %XX. What JSON files, logs and reports show.

@@ -17,6 +17,8 @@ void Write(const char* severity, const std::string& message) {
 
 void SetVerbosity(Verbosity verbosity) { g_verbosity = verbosity; }
 
+Verbosity GetVerbosity() { return g_verbosity; }
+
 void LogInfo(const std::string& message) {
   if (g_verbosity != Verbosity::kQuiet) Write("info", message);
 }

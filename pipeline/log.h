@@ -7,6 +7,7 @@ namespace nrff {
 
 enum class Verbosity { kQuiet, kNormal, kVerbose };
 void SetVerbosity(Verbosity verbosity);
+Verbosity GetVerbosity();
 
 void LogInfo(const std::string& message);     // "info: …"; normal and verbose
 void LogDetail(const std::string& message);   // "detail: …"; verbose only

@@ -7,6 +7,7 @@
 #include <cstdlib>
 
 #include "pipeline/json.h"
+#include "pipeline/log.h"
 
 namespace nrff {
 namespace {
@@ -64,6 +65,7 @@ void Progress::Write(double done, double seconds_left, const std::string& text, 
     WriteAll(descriptor, line.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n");
     return;
   }
+  if (GetVerbosity() == Verbosity::kQuiet) return;
   const bool terminal = isatty(STDERR_FILENO) != 0;
   std::string line = what_;
   if (total_ > 0) {

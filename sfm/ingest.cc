@@ -177,7 +177,7 @@ int GroupCameras(std::vector<CaptureImage>& images) {
 
 Capture MakeCapture(const Source& source, std::vector<MeasuredPhoto> photos) {
   Capture capture;
-  capture.name = EscapePath(source.root.filename());
+  capture.name = EscapePath(CaptureFolderName(source.root));
   capture.kind = source.kind;
   capture.root = source.root;
   capture.posed = source.model.has_value();
@@ -335,7 +335,7 @@ Json ProbeCapture(const fs::path& capture) {
   std::vector<Split> splits;
   const std::string rule = FreezeHoldOut(given, splits);
   const int n_test = CountTest(splits), n_images = static_cast<int>(splits.size());
-  return {{"kind", source.kind},          {"name", EscapePath(source.root.filename())},
+  return {{"kind", source.kind},          {"name", EscapePath(CaptureFolderName(source.root))},
           {"n_images", n_images},         {"posed", source.model.has_value()},
           {"split_rule", rule},           {"has_alpha", has_alpha},
           {"n_train", n_images - n_test}, {"n_test", n_test}};

@@ -50,6 +50,12 @@ TEST(EscapePath, KeepsUtf8AndEscapesWhatIsNot) {
   EXPECT_EQ(EscapePath("\xED\xA0\x80"), "%ED%A0%80") << "a surrogate is not UTF-8";
 }
 
+TEST(CaptureFolderName, LooksPastFoldersThatOnlySayWhatIsInThem) {
+  EXPECT_EQ(CaptureFolderName("/a/fox/images"), "fox");
+  EXPECT_EQ(CaptureFolderName("/a/fox"), "fox");
+  EXPECT_EQ(CaptureFolderName("/images"), "images");
+}
+
 TEST(WriteFileAtomically, LeavesTheOldBytesWhenTheDiskIsFull) {
   const TemporaryDirectory dir;
   const fs::path path = dir.path() / "value";
