@@ -180,7 +180,7 @@ void Trainer::Step() {
 
 std::string Trainer::Optimise(const Tensor& loss, double progress) {
   const double value = loss.item<double>();
-  if (!std::isfinite(value)) return "a loss of " + std::to_string(value);
+  if (!std::isfinite(value)) return std::isnan(value) ? "a loss that is not a number" : "an infinite loss";
   const std::vector<NrffField::Parameter>& parameters = state_.field.parameters();
   for (const NrffField::Parameter& parameter : parameters) parameter.value.mutable_grad() = Tensor();
   if (!loss.requires_grad()) return {};  // no ray met anything
