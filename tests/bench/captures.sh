@@ -42,5 +42,6 @@ printf '%s' "$captures" | while read -r name source; do
   [ "$code" -lt 128 ] || exit "$code"  # stopped by a signal: the rest is not run either
 done || exit
 
-exec python3 "$here/captures_table.py" --workspaces "$workspaces" --out "$out" --version "$("$nrff" --version)" \
+exec python3 "$here/captures_table.py" --workspaces "$workspaces" --data "${data%/}/" \
+  --out "$out" --version "$("$nrff" --version)" \
   --command "nrff run CAPTURE $*" --captures "$captures"

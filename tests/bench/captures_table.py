@@ -6,6 +6,7 @@ import json
 import os
 import pathlib
 import platform
+import re
 
 STAGES = ["ingest", "sfm", "pose", "train", "render", "eval"]
 
@@ -28,12 +29,13 @@ def read_json(path):
     return json.loads(path.read_text()) if path.is_file() else {}
 
 
-def last_error(path):
+def last_error(path, data):
     errors = [line for line in path.read_text(errors="replace").splitlines() if line.startswith("error: ")]
-    return errors[-1].removeprefix("error: ") if errors else None
+    # Where the data and the log lie says nothing to a reader of the table.
+    return re.sub(r" \(log: [^()]*\)$", "", errors[-1].removeprefix("error: ")).replace(data, "") if errors else None
 
 
-def collect(workspaces, name, source):
+def collect(workspaces, data, name, source):
     workspace = workspaces / name
     exit_code = int((workspaces / f"{name}.exit").read_text())
     manifests = {stage: read_json(workspace / stage / "manifest.json") for stage in STAGES}
@@ -44,7 +46,7 @@ def collect(workspaces, name, source):
         "name": name,
         "source": source,
         "exit_code": exit_code,
-        "error": last_error(workspaces / f"{name}.stderr") if exit_code else None,
+        "error": last_error(workspaces / f"{name}.stderr", data) if exit_code else None,
         "n_images": facts["ingest"].get("n_images"),
         "n_test": facts["ingest"].get("n_test"),
         "poses": {True: "given", False: "COLMAP", None: None}[posed],
@@ -71,16 +73,17 @@ def table(result):
     host = result["machine"]
     lines = [
         "# Real captures", "",
-        f"Made by `tests/bench/captures.sh` on {result['date']} with {result['version']}: `{result['command']}`",
+        f"Made by `tests/bench/captures.sh` on {result['date']} with nrff {result['version']}: `{result['command']}`",
         f"on {host['cpu']}, {host['cores']} cores, {host['memory_bytes'] / 2**30:.1f} GiB, no GPU used.", "",
         "| capture | registered | size, px | " + " | ".join(f"{stage}, s" for stage in STAGES) +
         " | steps | training, s | held out | PSNR, dB | SSIM | memory, MiB |",
         "|---|---|---|" + "---:|" * (len(STAGES) + 6),
     ]
     for capture in result["captures"]:
-        registered = "given" if capture["poses"] == "given" else f"{text(capture['n_registered'])} of {text(capture['n_images'])}"
+        registered = {"given": "given", "COLMAP": f"{capture['n_registered'] or 0} of {capture['n_images']}", None: "–"}
         memory = capture["peak_memory_bytes"]
-        cells = [capture["name"], registered, f"{text(capture['width'])}×{text(capture['height'])}"]
+        cells = [capture["name"], registered[capture["poses"]],
+                 text(capture["width"] and f"{capture['width']}×{capture['height']}")]
         cells += [text(capture["seconds"].get(stage), "{:.1f}") for stage in STAGES]
         cells += [text(capture["training_steps"]), text(capture["training_seconds"], "{:.0f}"), text(capture["n_test"]),
                   text(capture["psnr"], "{:.2f}"), text(capture["ssim"], "{:.4f}"),
@@ -95,7 +98,7 @@ def table(result):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    for name in ["workspaces", "out", "version", "command", "captures"]:
+    for name in ["workspaces", "data", "out", "version", "command", "captures"]:
         parser.add_argument(f"--{name}", required=True)
     arguments = parser.parse_args()
     rows = [line.split() for line in arguments.captures.splitlines() if line.strip()]
@@ -105,7 +108,7 @@ def main():
         "version": arguments.version,
         "command": arguments.command.strip(),
         "machine": machine(),
-        "captures": [collect(pathlib.Path(arguments.workspaces), name, source) for name, source in rows],
+        "captures": [collect(pathlib.Path(arguments.workspaces), arguments.data, *row) for row in rows],
     }
     out = pathlib.Path(arguments.out)
     out.write_text(json.dumps(result, indent=1, ensure_ascii=False) + "\n")

@@ -33,7 +33,8 @@ timed() {
 
 # A step that was cut short has left rows behind.
 [ -f "$work/matching.seconds" ] || rm -rf "$work/database.db" "$work"/features.seconds
-timed features colmap feature_extractor --database_path "$work/database.db" --image_path "$photos" --SiftExtraction.use_gpu 0
+timed features colmap feature_extractor --database_path "$work/database.db" --image_path "$photos" \
+  --SiftExtraction.use_gpu 0
 timed matching colmap exhaustive_matcher --database_path "$work/database.db" --SiftMatching.use_gpu 0
 timed mapping colmap mapper --database_path "$work/database.db" --image_path "$photos" --output_path "$work/sparse"
 timed ingest "$bin/nrff-ingest" "$photos" --out "$work/ingest"
