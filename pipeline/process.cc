@@ -145,7 +145,9 @@ struct Launch {
     for (char** variable = environ; *variable; ++variable) {
       if (!overridden(*variable)) environment.push_back(*variable);
     }
-    for (const auto& [name, value] : options.environment) environment_storage.push_back(name + "=" + value);
+    for (const auto& [name, value] : options.environment) {
+      environment_storage.emplace_back(name).append("=").append(value);
+    }
     if (progress_fd >= 0) environment_storage.push_back("NRFF_PROGRESS_FD=" + std::to_string(progress_fd));
     for (std::string& variable : environment_storage) environment.push_back(variable.data());
     environment.push_back(nullptr);
@@ -331,13 +333,17 @@ ProcessResult RunProcess(const ProcessOptions& options) { return Child(options).
 
 std::string DescribeEnd(const ProcessResult& result) {
   switch (result.end) {
-    case ProcessResult::End::kExited: return "exited with status " + std::to_string(result.exit_code);
+    case ProcessResult::End::kExited:
+      return "exited with status " + std::to_string(result.exit_code);
     case ProcessResult::End::kSignalled:
       return "was ended by signal " + std::to_string(result.signal) + " (" + strsignal(result.signal) + ")";
-    case ProcessResult::End::kTimeLimit: return "was stopped at its time limit, after " + FormatSeconds(result.seconds);
+    case ProcessResult::End::kTimeLimit:
+      return "was stopped at its time limit, after " + FormatSeconds(result.seconds);
     case ProcessResult::End::kStalled:
-      return "was stopped after " + FormatSeconds(result.seconds) + ": it neither printed nor used the processor any more";
-    case ProcessResult::End::kCancelled: return "was cancelled";
+      return "was stopped after " + FormatSeconds(result.seconds) +
+             ": it neither printed nor used the processor any more";
+    case ProcessResult::End::kCancelled:
+      return "was cancelled";
   }
   return {};
 }

@@ -19,7 +19,7 @@ namespace nrff {
 struct ProcessOptions {
   std::vector<std::string> command;                // program (looked up in PATH) and arguments; any bytes
   std::map<std::string, std::string> environment;  // set in addition to this process's own
-  std::filesystem::path log;                       // stdout and stderr are appended to it, after the command line itself
+  std::filesystem::path log;  // stdout and stderr are appended to it, after the command line itself
   // Called for every complete line of stdout and stderr ('\n' or '\r' ends one), without its end.
   std::function<void(std::string_view line)> on_line;
   // Called for every line the child writes to the descriptor whose number it finds in NRFF_PROGRESS_FD. Without a
@@ -33,10 +33,10 @@ struct ProcessOptions {
 struct ProcessResult {
   enum class End { kExited, kSignalled, kTimeLimit, kStalled, kCancelled };
   End end = End::kExited;
-  int exit_code = 0;      // kExited
-  int signal = 0;         // otherwise: what ended it
-  double seconds = 0;     // wall clock
-  uint64_t peak_memory_bytes = 0;  // of the largest process waited for
+  int exit_code = 0;                    // kExited
+  int signal = 0;                       // otherwise: what ended it
+  double seconds = 0;                   // wall clock
+  uint64_t peak_memory_bytes = 0;       // of the largest process waited for
   std::vector<std::string> last_lines;  // of its output, at most 12, oldest first
 
   bool Succeeded() const { return end == End::kExited && exit_code == 0; }

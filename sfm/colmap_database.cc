@@ -10,7 +10,8 @@
 namespace nrff {
 namespace {
 
-constexpr int64_t kMaxImages = 2147483647;  // pair_id = kMaxImages · smaller id + larger id (src/base/database.cc of 3.8)
+constexpr int64_t kMaxImages =
+    2147483647;  // pair_id = kMaxImages · smaller id + larger id (src/base/database.cc of 3.8)
 
 class Connection {
  public:
@@ -40,7 +41,8 @@ class Connection {
 
  private:
   Error Failure(const std::string& reason) const {
-    return CorruptError("cannot read COLMAP's database " + EscapePath(file_) + ": " + reason + "; remove it and run again");
+    return CorruptError("cannot read COLMAP's database " + EscapePath(file_) + ": " + reason +
+                        "; remove it and run again");
   }
   std::filesystem::path file_;
   sqlite3* database_ = nullptr;

@@ -17,7 +17,7 @@ struct ColmapDatabase {
     uint32_t camera_id = 0;
     int n_keypoints = -1;  // −1: not extracted yet
   };
-  std::map<uint32_t, Image> images;                             // by COLMAP's image id
+  std::map<uint32_t, Image> images;                               // by COLMAP's image id
   std::map<std::pair<uint32_t, uint32_t>, int> verified_matches;  // pairs matched so far, smaller id first → inliers
 };
 

@@ -32,11 +32,13 @@ std::vector<std::string> Names(const std::string& option) {
 
 Colmap::Colmap(std::filesystem::path log, double stall_limit_seconds)
     : program_(Program()), log_(std::move(log)), stall_limit_seconds_(stall_limit_seconds) {
-  const std::string install = "; install COLMAP (apt-get install colmap) or name it in the environment variable NRFF_COLMAP";
+  const std::string install =
+      "; install COLMAP (apt-get install colmap) or name it in the environment variable NRFF_COLMAP";
   try {
     const std::string& help = Help("help");
     const size_t name = help.find("COLMAP ");
-    if (name == std::string::npos) throw ExternalToolError(EscapePath(program_) + " does not say that it is COLMAP" + install);
+    if (name == std::string::npos)
+      throw ExternalToolError(EscapePath(program_) + " does not say that it is COLMAP" + install);
     const size_t begin = name + 7, end = help.find_first_of(" \n-(", begin);
     version_ = help.substr(begin, end - begin);
   } catch (const Error& error) {
@@ -51,7 +53,8 @@ const std::string& Colmap::Help(const std::string& command) {
   const auto [entry, is_new] = help_.try_emplace(command);
   if (!is_new) return entry->second;
   ProcessOptions process;
-  process.command = command == "help" ? std::vector<std::string>{program_, command} : std::vector<std::string>{program_, command, "--help"};
+  process.command = command == "help" ? std::vector<std::string>{program_, command}
+                                      : std::vector<std::string>{program_, command, "--help"};
   process.environment["QT_QPA_PLATFORM"] = "offscreen";
   process.limit_seconds = kHelpLimit_seconds;
   process.on_line = [&help = entry->second](std::string_view line) { help.append(line).append("\n"); };
@@ -67,6 +70,7 @@ ProcessResult Colmap::Run(const std::string& command, const Options& options, do
   const std::string& help = Help(command);
   ProcessOptions process;
   process.command = {program_, command};
+  std::string unknown;
   for (const auto& [option, value] : options) {
     bool known = false;
     for (const std::string& name : Names(option)) {
@@ -75,8 +79,9 @@ ProcessResult Colmap::Run(const std::string& command, const Options& options, do
       known = true;
       break;
     }
-    if (!known) LogDetail("COLMAP " + version_ + "'s " + command + " has no option " + option + ": left out");
+    if (!known) unknown.append(" ").append(option);
   }
+  if (!unknown.empty()) LogDetail("left out, since this COLMAP's " + command + " does not know them:" + unknown);
   process.environment["QT_QPA_PLATFORM"] = "offscreen";
   process.log = log_;
   process.on_line = on_line;
@@ -94,11 +99,13 @@ void Colmap::RunOrThrow(const std::string& command, const Options& options, doub
 void Colmap::Fail(const std::string& command, const ProcessResult& result) const {
   constexpr size_t kShown = 3;
   std::string last;
-  for (size_t i = result.last_lines.size() > kShown ? result.last_lines.size() - kShown : 0; i < result.last_lines.size(); ++i) {
+  for (size_t i = result.last_lines.size() > kShown ? result.last_lines.size() - kShown : 0;
+       i < result.last_lines.size(); ++i) {
     last += (last.empty() ? "" : " | ") + result.last_lines[i];
   }
   throw ExternalToolError("colmap " + command + " " + DescribeEnd(result) +
-                          (last.empty() ? "; it printed nothing" : "; its last lines: " + last) + "; its log is " + EscapePath(log_));
+                          (last.empty() ? "; it printed nothing" : "; its last lines: " + last) + "; its log is " +
+                          EscapePath(log_));
 }
 
 }  // namespace nrff

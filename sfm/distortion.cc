@@ -63,15 +63,19 @@ Pair<T> Distort(CameraModel model, const double* k, const T& u, const T& v) {
   };
   switch (model) {
     case CameraModel::kSimplePinhole:
-    case CameraModel::kPinhole: return {u, v};
-    case CameraModel::kSimpleRadial: return scaled(Polynomial(r2, k, 1));
-    case CameraModel::kRadial: return scaled(Polynomial(r2, k, 2));
+    case CameraModel::kPinhole:
+      return {u, v};
+    case CameraModel::kSimpleRadial:
+      return scaled(Polynomial(r2, k, 1));
+    case CameraModel::kRadial:
+      return scaled(Polynomial(r2, k, 2));
     case CameraModel::kOpenCV: {
       const T radial = Polynomial(r2, k, 2);
       const Pair<T> tangential = Tangential(u, v, k[2], k[3]);
       return {u * radial + tangential.u, v * radial + tangential.v};
     }
-    case CameraModel::kOpenCVFisheye: return fisheye(4);
+    case CameraModel::kOpenCVFisheye:
+      return fisheye(4);
     case CameraModel::kFullOpenCV: {
       const T radial = (1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / Polynomial(r2, k + 5, 3);
       const Pair<T> tangential = Tangential(u, v, k[2], k[3]);
@@ -83,8 +87,10 @@ Pair<T> Distort(CameraModel model, const double* k, const T& u, const T& v) {
       const double tangent = 2 * std::tan(omega / 2);
       return scaled(AngleOverRadius<T>(r2 * (tangent * tangent)) * (tangent / omega));
     }
-    case CameraModel::kSimpleRadialFisheye: return fisheye(1);
-    case CameraModel::kRadialFisheye: return fisheye(2);
+    case CameraModel::kSimpleRadialFisheye:
+      return fisheye(1);
+    case CameraModel::kRadialFisheye:
+      return fisheye(2);
     case CameraModel::kThinPrismFisheye: {
       const T ratio = AngleOverRadius(r2);
       const T a = u * ratio, b = v * ratio;
@@ -118,7 +124,8 @@ bool HasOneFocalLength(CameraModel model) {
 }  // namespace
 
 Lens::Lens(const ColmapCamera& camera) : camera_(camera) {
-  const std::string where = std::string("camera ") + std::to_string(camera.id) + " (" + CameraModelName(camera.model) + ")";
+  const std::string where =
+      std::string("camera ") + std::to_string(camera.id) + " (" + CameraModelName(camera.model) + ")";
   if (int(camera.params.size()) != CameraModelParamCount(camera.model)) {
     throw InputError(where + " has " + std::to_string(camera.params.size()) + " parameters, expected " +
                      std::to_string(CameraModelParamCount(camera.model)) + "; export the model again");
@@ -129,7 +136,8 @@ Lens::Lens(const ColmapCamera& camera) : camera_(camera) {
   const bool one_focal = HasOneFocalLength(camera.model);
   fx_ = camera.params[0];
   fy_ = camera.params[one_focal ? 0 : 1];
-  if (!(fx_ > 0) || !(fy_ > 0)) throw InputError(where + " has a focal length that is not positive; export the model again");
+  if (!(fx_ > 0) || !(fy_ > 0))
+    throw InputError(where + " has a focal length that is not positive; export the model again");
   first_distortion_ = one_focal ? 3 : 4;
   cx_ = camera.params[first_distortion_ - 2];
   cy_ = camera.params[first_distortion_ - 1];
@@ -194,7 +202,8 @@ std::optional<Vector2d> Lens::CameraFromImage(const Vector2d& px) const {
     if (!step.allFinite()) break;
     double fraction = 1;
     const auto better = [&](const Vector2d& candidate) {
-      return candidate.norm() < valid_radius_ && (DistortedPoint(camera_.model, k, candidate) - target).norm() < residual.norm();
+      return candidate.norm() < valid_radius_ &&
+             (DistortedPoint(camera_.model, k, candidate) - target).norm() < residual.norm();
     };
     while (fraction > 1e-6 && !better(uv - fraction * step)) fraction /= 2;
     if (fraction <= 1e-6) break;

@@ -55,8 +55,8 @@ SfmSettings Settings(int level, bool exhaustive, uint64_t seed, int n_threads) {
 
 const ColmapModel* Largest(const std::vector<ColmapModel>& models) {
   const auto size = [](const ColmapModel& m) { return std::pair(m.images.size(), m.points.size()); };
-  const auto largest = std::max_element(models.begin(), models.end(),
-                                        [&](const auto& a, const auto& b) { return size(a) < size(b); });
+  const auto largest =
+      std::max_element(models.begin(), models.end(), [&](const auto& a, const auto& b) { return size(a) < size(b); });
   return largest == models.end() ? nullptr : &*largest;
 }
 
@@ -85,7 +85,9 @@ ColmapModel AtFullSize(const ColmapModel& working, const Capture& capture, doubl
   for (auto& [id, image] : model.images) {
     image.name = IdOfWorkingPhoto(image.name);
     const auto photo = by_id.find(image.name);
-    if (photo == by_id.end()) throw CorruptError("COLMAP's model holds an image " + image.name + " that is not of this capture; remove the partial artifact and run again");
+    if (photo == by_id.end())
+      throw CorruptError("COLMAP's model holds an image " + image.name +
+                         " that is not of this capture; remove the partial artifact and run again");
     const ColmapCamera& camera = working.cameras.at(image.camera_id);
     const ImageInfo& info = photo->second->info;
     model.cameras[image.camera_id] = ScaledCamera(camera, info.width, info.height);
@@ -97,7 +99,8 @@ ColmapModel AtFullSize(const ColmapModel& working, const Capture& capture, doubl
     }
   }
   std::erase_if(model.cameras, [&](const auto& camera) {
-    return std::none_of(model.images.begin(), model.images.end(), [&](const auto& image) { return image.second.camera_id == camera.first; });
+    return std::none_of(model.images.begin(), model.images.end(),
+                        [&](const auto& image) { return image.second.camera_id == camera.first; });
   });
   double sum = 0;
   for (auto& [id, point] : model.points) {
@@ -108,12 +111,13 @@ ColmapModel AtFullSize(const ColmapModel& working, const Capture& capture, doubl
   return model;
 }
 
-void RecordFacts(const std::vector<Attempt>& attempts, const Attempt& best, const Capture& capture, const ColmapModel& model,
-                 double reprojection_error_px, Json& facts) {
+void RecordFacts(const std::vector<Attempt>& attempts, const Attempt& best, const Capture& capture,
+                 const ColmapModel& model, double reprojection_error_px, Json& facts) {
   std::vector<std::string> unregistered;
   size_t n_registered_train = 0;
   for (const CaptureImage& photo : capture.images) {
-    const bool registered = std::any_of(model.images.begin(), model.images.end(), [&](const auto& image) { return image.second.name == photo.id; });
+    const bool registered = std::any_of(model.images.begin(), model.images.end(),
+                                        [&](const auto& image) { return image.second.name == photo.id; });
     if (!registered) unregistered.push_back(photo.Name());
     n_registered_train += registered && photo.split == Split::kTrain;
   }

@@ -12,9 +12,9 @@ namespace nrff {
 
 struct PackEntry {
   const CaptureImage* photo = nullptr;
-  const Lens* lens = nullptr;            // of the photo
+  const Lens* lens = nullptr;  // of the photo
   const PinholeTarget* target = nullptr;
-  uint64_t offset = 0;                   // bytes
+  uint64_t offset = 0;  // bytes
 };
 
 // Creates `file` with `size_bytes` and fills in every entry. The space is claimed first, so that a full disk is found

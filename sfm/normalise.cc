@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include "pipeline/error.h"
 
@@ -14,15 +15,15 @@ namespace {
 using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
-constexpr double kCameraDistance = 2;     // of the median camera from the centre, in half-extents of the foreground box
-constexpr double kFarUnbounded = 1000;    // scene units: the contraction leaves 0.1 % of its shell beyond
-constexpr double kNearDefault = 0.1;      // scene units, where nothing is known
-constexpr double kMargin = 1.1;           // of boxes around points
-constexpr size_t kFewestPoints = 32;      // that quantiles are taken of
-constexpr double kParallel = 0.01;        // smallest eigenvalue of the mean of I − d dᵀ that fixes a focus point: sin² 6°
+constexpr double kCameraDistance = 2;   // of the median camera from the centre, in half-extents of the foreground box
+constexpr double kFarUnbounded = 1000;  // scene units: the contraction leaves 0.1 % of its shell beyond
+constexpr double kNearDefault = 0.1;    // scene units, where nothing is known
+constexpr double kMargin = 1.1;         // of boxes around points
+constexpr size_t kFewestPoints = 32;    // that quantiles are taken of
+constexpr double kParallel = 0.01;  // smallest eigenvalue of the mean of I − d dᵀ that fixes a focus point: sin² 6°
 
 double Quantile(std::vector<double> values, double q) {
-  const auto nth = values.begin() + std::ptrdiff_t(q * double(values.size() - 1) + 0.5);
+  const auto nth = values.begin() + std::lround(q * double(values.size() - 1));
   std::nth_element(values.begin(), nth, values.end());
   return *nth;
 }
@@ -39,7 +40,8 @@ void CheckInput(const NormaliseInput& input) {
   if (input.cameras.empty()) throw InputError("no camera has a pose: nothing can be normalised");
   for (const PosedCamera& camera : input.cameras) {
     if (!camera.center.allFinite() || !camera.world_from_camera.allFinite()) {
-      throw InputError("the pose of " + camera.name + " is not finite; estimate the poses again or leave the photo out");
+      throw InputError("the pose of " + camera.name +
+                       " is not finite; estimate the poses again or leave the photo out");
     }
   }
   for (const Vector3d& point : input.points) {
@@ -49,8 +51,8 @@ void CheckInput(const NormaliseInput& input) {
   const auto& b = *input.box;
   for (int i = 0; i < 3; ++i) {
     if (!std::isfinite(b[i]) || !std::isfinite(b[i + 3]) || !(b[i] < b[i + 3])) {
-      throw InputError("the capture's bounding box runs from " + std::to_string(b[i]) + " to " + std::to_string(b[i + 3]) + " along " +
-                       "xyz"[i] + "; expected a minimum below a maximum");
+      throw InputError("the capture's bounding box runs from " + std::to_string(b[i]) + " to " +
+                       std::to_string(b[i + 3]) + " along " + "xyz"[i] + "; expected a minimum below a maximum");
     }
   }
 }
@@ -89,17 +91,24 @@ Box RobustBox(const std::vector<Vector3d>& points, const Matrix3d& axes, double 
   return {axes * ((low + high) / 2), (high - low) / 2 * kMargin};
 }
 
+// Quantile over the cameras of what `measure` says of each.
+template <typename Measure>
+double CameraQuantile(const std::vector<PosedCamera>& cameras, double q, const Measure& measure) {
+  std::vector<double> values;
+  values.reserve(cameras.size());
+  for (const PosedCamera& camera : cameras) values.push_back(measure(camera));
+  return Quantile(std::move(values), q);
+}
+
 // Radius of the ball around `center` that every camera sees whole (nearly: one in twenty may see less).
 double SeenRadius(const std::vector<PosedCamera>& cameras, const Vector3d& center) {
-  std::vector<double> radii;
-  for (const PosedCamera& camera : cameras) radii.push_back((camera.center - center).norm() * std::sin(camera.half_field));
-  return Quantile(radii, 0.05);
+  return CameraQuantile(cameras, 0.05, [&](const PosedCamera& camera) {
+    return (camera.center - center).norm() * std::sin(camera.half_field);
+  });
 }
 
 double MedianDistance(const std::vector<PosedCamera>& cameras, const Vector3d& center) {
-  std::vector<double> distances;
-  for (const PosedCamera& camera : cameras) distances.push_back((camera.center - center).norm());
-  return Quantile(distances, 0.5);
+  return CameraQuantile(cameras, 0.5, [&](const PosedCamera& camera) { return (camera.center - center).norm(); });
 }
 
 // Median distance of the cameras from their mean; exactly 0 where they differ by no more than rounding.
@@ -111,7 +120,8 @@ double Baseline(const std::vector<PosedCamera>& cameras) {
 }
 
 // Share of the points outside the ball that the cameras see whole, enlarged to its cube's corners.
-std::optional<double> BackgroundFraction(const std::vector<Vector3d>& points, const Vector3d& center, double seen_radius) {
+std::optional<double> BackgroundFraction(const std::vector<Vector3d>& points, const Vector3d& center,
+                                         double seen_radius) {
   if (points.size() < kFewestPoints) return {};
   const auto outside = [&](const Vector3d& p) { return (p - center).norm() > std::sqrt(3.0) * seen_radius; };
   return double(std::count_if(points.begin(), points.end(), outside)) / double(points.size());

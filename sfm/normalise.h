@@ -3,11 +3,12 @@
 // Scene frame: +z up; the box's largest half-extent is 1 and its centre the origin. Three kinds of capture:
 //   box given      the box as given, not rotated; bounded
 //   inward-looking the optical axes meet at a focus point in front of the cameras: it becomes the centre
-//   outward or forward-looking (also: one camera, all cameras at one place): the centre lies on the mean optical axis at
+//   outward or forward-looking (also: one camera, all cameras at one place): the centre lies on the mean optical axis
+//   at
 //                  the median depth of the points
-// Inward-looking captures are bounded when the photos show nothing but the object (masked, or on a plain background with
-// hardly a point beyond what all cameras see): the box then holds the points. Otherwise the box is the foreground, the
-// rest is contracted. Points alone do not tell: sky and other smooth surroundings have none.
+// Inward-looking captures are bounded when the photos show nothing but the object (masked, or on a plain background
+// with hardly a point beyond what all cameras see): the box then holds the points. Otherwise the box is the foreground,
+// the rest is contracted. Points alone do not tell: sky and other smooth surroundings have none.
 //
 // The result is the same scene for any similarity of the input world, box-given captures aside. Medians and quantiles
 // throughout, so that a few bad cameras or points change little.
@@ -32,12 +33,12 @@ struct PosedCamera {
 };
 
 struct NormaliseInput {
-  std::vector<PosedCamera> cameras;     // in order of their ids
-  std::vector<Eigen::Vector3d> points;  // world units; may be empty
-  std::vector<double> depths;           // of the points from the cameras that see them, along the ray, world units
+  std::vector<PosedCamera> cameras;          // in order of their ids
+  std::vector<Eigen::Vector3d> points;       // world units; may be empty
+  std::vector<double> depths;                // of the points from the cameras that see them, along the ray, world units
   std::optional<std::array<double, 6>> box;  // min xyz, max xyz, world units
-  bool masked = false;                  // the photos have alpha
-  bool plain_background = false;        // a known colour is behind the object
+  bool masked = false;                       // the photos have alpha
+  bool plain_background = false;             // a known colour is behind the object
 };
 
 struct Normalisation {

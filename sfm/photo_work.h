@@ -10,8 +10,8 @@
 
 namespace nrff {
 
-// Calls work(0) … work(n_photos − 1), each once, by `n_threads` threads, with progress called `what`. The first exception
-// ends the work and is thrown on.
+// Calls work(0) … work(n_photos − 1), each once, by `n_threads` threads, with progress called `what`. The first
+// exception ends the work and is thrown on.
 void ForEachPhoto(const std::string& what, size_t n_photos, int n_threads, const std::function<void(size_t)>& work);
 
 // The photo's pixels, oriented. Throws InputError when the file changed since it was ingested.

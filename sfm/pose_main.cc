@@ -36,7 +36,11 @@ CLI::Option* AddForced(CLI::App& app, const std::string& name, std::optional<boo
                        const std::string& not_needed, const std::string& help) {
   return app
       .add_option_function<std::string>(
-          name, [&value, needed](const std::string& text) { value = text == "auto" ? std::nullopt : std::optional(text == needed); }, help)
+          name,
+          [&value, needed](const std::string& text) {
+            value = text == "auto" ? std::nullopt : std::optional(text == needed);
+          },
+          help)
       ->check(CLI::IsMember({"auto", needed.c_str(), not_needed.c_str()}))
       ->default_str("auto")
       ->group(nrff::kParameterGroup);
@@ -54,20 +58,26 @@ int main(int argc, char** argv) {
   app.require_subcommand(1);
   Common common;
 
-  CLI::App* estimate = app.add_subcommand(
-      "estimate", "Estimates the poses with COLMAP.\nExample: nrff-pose estimate --ingest work/photos/ingest --out work/photos/sfm");
+  CLI::App* estimate = app.add_subcommand("estimate",
+                                          "Estimates the poses with COLMAP.\nExample: nrff-pose estimate --ingest "
+                                          "work/photos/ingest --out work/photos/sfm");
   AddCommon(*estimate, common);
   nrff::EstimateOptions estimation;
-  estimate->add_option("--seed", estimation.seed, "Seed of COLMAP's random choices")->capture_default_str()->group(nrff::kParameterGroup);
-  estimate->add_option("--stall-limit", estimation.stall_limit_seconds, "Seconds after which a silent, idle COLMAP is stopped")
+  estimate->add_option("--seed", estimation.seed, "Seed of COLMAP's random choices")
+      ->capture_default_str()
+      ->group(nrff::kParameterGroup);
+  estimate
+      ->add_option("--stall-limit", estimation.stall_limit_seconds,
+                   "Seconds after which a silent, idle COLMAP is stopped")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
-  AddForced(*estimate, "--matching", estimation.exhaustive, "exhaustive", "sequential", "Which pairs of photos are matched");
+  AddForced(*estimate, "--matching", estimation.exhaustive, "exhaustive", "sequential",
+            "Which pairs of photos are matched");
 
-  CLI::App* normalise = app.add_subcommand(
-      "normalise",
-      "Normalises the poses, undistorts and packs the photos.\nExample: nrff-pose normalise --ingest work/photos/ingest --sfm"
-      " work/photos/sfm --out work/photos/pose");
+  CLI::App* normalise = app.add_subcommand("normalise",
+                                           "Normalises the poses, undistorts and packs the photos.\nExample: nrff-pose "
+                                           "normalise --ingest work/photos/ingest --sfm"
+                                           " work/photos/sfm --out work/photos/pose");
   AddCommon(*normalise, common);
   nrff::PoseOptions pose;
   fs::path sfm;

@@ -46,7 +46,8 @@ std::string Number(double value) { return Json(value).dump(); }
 
 class Reconstruction {
  public:
-  Reconstruction(const Capture& capture, const SfmSettings& settings, Colmap& colmap, fs::path dir, const ArtifactWriter& artifact)
+  Reconstruction(const Capture& capture, const SfmSettings& settings, Colmap& colmap, fs::path dir,
+                 const ArtifactWriter& artifact)
       : capture_(capture), settings_(settings), colmap_(colmap), dir_(std::move(dir)), artifact_(artifact) {}
 
   Attempt Run() {
@@ -105,14 +106,16 @@ class Reconstruction {
                                      {"SiftExtraction.num_threads", Threads()},
                                      {"SiftExtraction.max_num_features", std::to_string(settings_.max_features)},
                                      {"SiftExtraction.first_octave", std::to_string(settings_.first_octave)}});
-      if (settings_.peak_threshold > 0) options.emplace_back("SiftExtraction.peak_threshold", Number(settings_.peak_threshold));
+      if (settings_.peak_threshold > 0)
+        options.emplace_back("SiftExtraction.peak_threshold", Number(settings_.peak_threshold));
       if (const auto id = CameraOf(database, camera)) {
         options.emplace_back("ImageReader.existing_camera_id", std::to_string(*id));
       } else if (const std::string params = CameraParams(photos.front()->info); !params.empty()) {
         options.emplace_back("ImageReader.camera_params", params);
       }
       colmap_.RunOrThrow("feature_extractor", options, 600 + 60 * double(photos.size()), [&](std::string_view line) {
-        if (const auto n = FirstOf(line, {"Processed file [", "Processed image ["})) progress.Update(double(n_done) + *n);
+        if (const auto n = FirstOf(line, {"Processed file [", "Processed image ["}))
+          progress.Update(double(n_done) + *n);
       });
       n_done += photos.size();
     }
@@ -146,8 +149,10 @@ class Reconstruction {
     for (const auto& [id, image] : before.images) ids[image.name] = id;
     std::vector<std::string> pending;
     for (const auto& [first, second] : pairs) {
-      const std::string a = WorkingPhotoName(capture_.images[size_t(first)]), b = WorkingPhotoName(capture_.images[size_t(second)]);
-      if (!before.verified_matches.count(std::minmax({ids.at(a), ids.at(b)}))) pending.push_back(a + " " + b + "\n");
+      const std::string a = WorkingPhotoName(capture_.images[size_t(first)]),
+                        b = WorkingPhotoName(capture_.images[size_t(second)]);
+      if (before.verified_matches.count(std::minmax({ids.at(a), ids.at(b)}))) continue;
+      pending.emplace_back(a).append(" ").append(b).append("\n");
     }
     const size_t batch = std::clamp<size_t>(pairs.size() / 20, 20, 400);
     Progress progress("matching", double(pairs.size()), "pairs");
@@ -189,7 +194,8 @@ class Reconstruction {
       WriteFileAtomically(finished, "");
     }
     for (const auto& entry : fs::directory_iterator(models)) {
-      if (entry.is_directory() && fs::exists(entry.path() / "images.bin")) attempt.models.push_back(ReadColmapModel(entry.path()));
+      if (entry.is_directory() && fs::exists(entry.path() / "images.bin"))
+        attempt.models.push_back(ReadColmapModel(entry.path()));
     }
     attempt.seconds_mapping = SecondsSince(start);
   }

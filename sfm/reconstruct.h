@@ -19,13 +19,13 @@
 namespace nrff {
 
 struct SfmSettings {
-  std::string name;             // of the attempt's folder
-  int max_image_size = 1000;    // px, longer side
-  int max_features = 2048;      // per photo
-  int first_octave = 0;         // −1: features are searched in the photo doubled in size, too
-  double peak_threshold = 0;    // of features' contrast; 0: COLMAP's default
-  bool exhaustive = false;      // all pairs
-  int n_neighbours = 6;         // otherwise: each photo with this many next ones, and with some further on
+  std::string name;               // of the attempt's folder
+  int max_image_size = 1000;      // px, longer side
+  int max_features = 2048;        // per photo
+  int first_octave = 0;           // −1: features are searched in the photo doubled in size, too
+  double peak_threshold = 0;      // of features' contrast; 0: COLMAP's default
+  bool exhaustive = false;        // all pairs
+  int n_neighbours = 6;           // otherwise: each photo with this many next ones, and with some further on
   bool tolerant_mapping = false;  // place photos by fewer matches and smaller parallax
   uint64_t seed = 0;
   int n_threads = 1;
@@ -34,7 +34,7 @@ struct SfmSettings {
 struct Attempt {
   SfmSettings settings;
   std::vector<ColmapModel> models;  // of the working photos; may be none
-  ColmapDatabase database;                 // after matching
+  ColmapDatabase database;          // after matching
   size_t n_pairs = 0;
   double seconds_features = 0, seconds_matching = 0, seconds_mapping = 0;
 };
@@ -42,7 +42,7 @@ struct Attempt {
 std::vector<ImagePair> ChoosePairs(int n_images, const SfmSettings& settings);
 
 // Throws what Colmap throws; a mapper that finds no model is no failure.
-Attempt Reconstruct(const Capture& capture, const SfmSettings& settings, Colmap& colmap, const std::filesystem::path& dir,
-                    const ArtifactWriter& artifact);
+Attempt Reconstruct(const Capture& capture, const SfmSettings& settings, Colmap& colmap,
+                    const std::filesystem::path& dir, const ArtifactWriter& artifact);
 
 }  // namespace nrff

@@ -36,7 +36,8 @@ struct PosedPhoto {
   const TargetCamera* camera;
 };
 
-std::vector<PosedPhoto> MatchPhotos(const Capture& capture, const ColmapModel& model, std::vector<std::string>& unregistered) {
+std::vector<PosedPhoto> MatchPhotos(const Capture& capture, const ColmapModel& model,
+                                    std::vector<std::string>& unregistered) {
   std::map<std::string, const ColmapImage*> by_name;
   for (const auto& [id, image] : model.images) by_name[image.name] = &image;
   std::vector<PosedPhoto> posed;
@@ -49,9 +50,9 @@ std::vector<PosedPhoto> MatchPhotos(const Capture& capture, const ColmapModel& m
     posed.push_back({&photo, found->second, nullptr});
     const ColmapCamera& camera = model.cameras.at(found->second->camera_id);
     if (camera.width != photo.info.width || camera.height != photo.info.height) {
-      throw InputError(photo.Name() + " is " + std::to_string(photo.info.width) + "×" + std::to_string(photo.info.height) +
-                       " px but its camera is for " + std::to_string(camera.width) + "×" + std::to_string(camera.height) +
-                       "; run ingest again");
+      throw InputError(photo.Name() + " is " + std::to_string(photo.info.width) + "×" +
+                       std::to_string(photo.info.height) + " px but its camera is for " + std::to_string(camera.width) +
+                       "×" + std::to_string(camera.height) + "; run ingest again");
     }
   }
   return posed;
@@ -61,8 +62,9 @@ void CheckSplit(const std::vector<PosedPhoto>& posed, size_t n_photos) {
   const auto is_train = [](const PosedPhoto& p) { return p.photo->split == Split::kTrain; };
   const auto n_train = std::count_if(posed.begin(), posed.end(), is_train);
   if (n_train < 2) {
-    throw InputError("only " + std::to_string(n_train) + " of the training photos (" + std::to_string(posed.size()) + " of all " +
-                     std::to_string(n_photos) + ") have a pose, at least 2 are needed; add photos that overlap more");
+    throw InputError("only " + std::to_string(n_train) + " of the training photos (" + std::to_string(posed.size()) +
+                     " of all " + std::to_string(n_photos) +
+                     ") have a pose, at least 2 are needed; add photos that overlap more");
   }
   if (n_train == std::ptrdiff_t(posed.size())) {
     LogWarning("no held-out photo has a pose: the model can be trained and rendered, but not scored");
@@ -83,7 +85,8 @@ std::map<uint32_t, TargetCamera> ChooseTargets(const ColmapModel& model, const s
     largest_px = std::max(largest_px, displacement_px);
     const bool undistort = options.undistortion.value_or(needs::Undistortion(displacement_px).needed);
     any |= undistort;
-    PinholeTarget target = undistort ? UndistortedTarget(lens, options.max_image_size) : ScaledTarget(lens, options.max_image_size);
+    PinholeTarget target =
+        undistort ? UndistortedTarget(lens, options.max_image_size) : ScaledTarget(lens, options.max_image_size);
     cameras.emplace(id, TargetCamera{std::move(lens), target});
   }
   Decision decision = needs::Undistortion(largest_px);
@@ -98,7 +101,8 @@ std::map<uint32_t, TargetCamera> ChooseTargets(const ColmapModel& model, const s
   return cameras;
 }
 
-NormaliseInput NormalisationInput(const Capture& capture, const ColmapModel& model, const std::vector<PosedPhoto>& posed) {
+NormaliseInput NormalisationInput(const Capture& capture, const ColmapModel& model,
+                                  const std::vector<PosedPhoto>& posed) {
   NormaliseInput input;
   input.box = capture.box;
   input.plain_background = capture.background != Background::kNone;
@@ -148,15 +152,17 @@ Scene MakeScene(const Capture& capture, const std::vector<PosedPhoto>& posed, co
   uint64_t offset = 0;
   for (const PosedPhoto& p : posed) {
     const PinholeTarget& target = p.camera->target;
-    View view{p.photo->id, p.photo->Name(), p.photo->split, target.width, target.height, p.photo->info.channels, offset,
-              target.fx,   target.fy,       target.cx,      target.cy,    SceneFromCamera(*p.image, n)};
+    View view{p.photo->id, p.photo->Name(), p.photo->split, target.width, target.height, p.photo->info.channels,
+              offset,      target.fx,       target.fy,      target.cx,    target.cy,     SceneFromCamera(*p.image, n)};
     offset += view.PixelBytes();
     scene.views.push_back(std::move(view));
   }
   return scene;
 }
 
-uint64_t PackBytes(const Scene& scene) { return scene.views.empty() ? 0 : scene.views.back().pack_offset + scene.views.back().PixelBytes(); }
+uint64_t PackBytes(const Scene& scene) {
+  return scene.views.empty() ? 0 : scene.views.back().pack_offset + scene.views.back().PixelBytes();
+}
 
 // The model as the pack shows it: pinhole cameras, observations moved along, images named by their path.
 ColmapModel PinholeModel(const ColmapModel& model, const std::vector<PosedPhoto>& posed) {
@@ -167,7 +173,8 @@ ColmapModel PinholeModel(const ColmapModel& model, const std::vector<PosedPhoto>
     image.name = EscapePath(p.photo->path);
     image.observations.clear();
     for (const ColmapObservation& observation : p.image->observations) {
-      const auto point = observation.point_id < 0 ? model.points.end() : model.points.find(uint64_t(observation.point_id));
+      const auto point =
+          observation.point_id < 0 ? model.points.end() : model.points.find(uint64_t(observation.point_id));
       if (point == model.points.end()) continue;
       const auto px = TargetFromPhoto({observation.x, observation.y}, p.camera->lens, p.camera->target);
       if (!px) continue;
@@ -195,7 +202,8 @@ void WritePly(const ColmapModel& model, const Eigen::Matrix4d& scene_from_world,
 
 }  // namespace
 
-void WriteScene(const fs::path& ingest_dir, const fs::path& model_dir, const PoseOptions& options, ArtifactWriter& artifact) {
+void WriteScene(const fs::path& ingest_dir, const fs::path& model_dir, const PoseOptions& options,
+                ArtifactWriter& artifact) {
   const Capture capture = LoadCapture(ingest_dir);
   const ColmapModel model = ReadColmapModel(model_dir);
   std::vector<std::string> unregistered;
@@ -220,7 +228,8 @@ void WriteScene(const fs::path& ingest_dir, const fs::path& model_dir, const Pos
   fs::create_directories(artifact.dir() / "sparse");
   WriteColmapText(pinhole, artifact.dir() / "sparse");
   WriteTransforms(pinhole, artifact.dir() / "transforms.json");
-  for (const char* output : {kSceneFile, kPackFile, "points.ply", "sparse", "transforms.json"}) artifact.AddOutput(output);
+  for (const char* output : {kSceneFile, kPackFile, "points.ply", "sparse", "transforms.json"})
+    artifact.AddOutput(output);
 
   Json& facts = artifact.facts();
   facts["n_views_train"] = scene.ViewsOf(Split::kTrain).size();

@@ -16,16 +16,16 @@
 namespace nrff {
 
 struct PoseOptions {
-  int max_image_size = 800;             // px, longer side
-  std::optional<bool> undistortion;     // forced either way
-  std::optional<bool> contraction;      // forced either way
+  int max_image_size = 800;          // px, longer side
+  std::optional<bool> undistortion;  // forced either way
+  std::optional<bool> contraction;   // forced either way
   int n_threads = 1;
 };
 
-// `ingest_dir` holds capture.json, `model_dir` the COLMAP model whose image names are the capture's ids. Writes payload,
-// facts and decisions. Throws InputError when a photo changed since it was ingested, when its camera is of another size,
-// or when fewer than two training views have a pose; ResourceError when the pack does not fit the disk.
-void WriteScene(const std::filesystem::path& ingest_dir, const std::filesystem::path& model_dir, const PoseOptions& options,
-                ArtifactWriter& artifact);
+// `ingest_dir` holds capture.json, `model_dir` the COLMAP model whose image names are the capture's ids. Writes
+// payload, facts and decisions. Throws InputError when a photo changed since it was ingested, when its camera is of
+// another size, or when fewer than two training views have a pose; ResourceError when the pack does not fit the disk.
+void WriteScene(const std::filesystem::path& ingest_dir, const std::filesystem::path& model_dir,
+                const PoseOptions& options, ArtifactWriter& artifact);
 
 }  // namespace nrff

@@ -10,8 +10,8 @@
 namespace nrff {
 namespace {
 
-constexpr int kFewMatches = 50;    // with any other photo: too little overlap
-constexpr int kFewKeypoints = 200; // blurred, or nothing but smooth surfaces
+constexpr int kFewMatches = 50;     // with any other photo: too little overlap
+constexpr int kFewKeypoints = 200;  // blurred, or nothing but smooth surfaces
 constexpr size_t kNamed = 5;
 
 int Median(std::vector<int> values) {
@@ -43,7 +43,8 @@ std::string DiagnoseRegistration(const Capture& capture, const ColmapDatabase& d
     matches.push_back(most_matches[photo.id]);
     keypoints.push_back(n_keypoints[photo.id]);
     if (placed.count(photo.id)) continue;
-    if (++n_unplaced <= kNamed) named += (named.empty() ? "" : ", ") + photo.Name() + " (" + std::to_string(matches.back()) + ")";
+    if (++n_unplaced <= kNamed)
+      named += (named.empty() ? "" : ", ") + photo.Name() + " (" + std::to_string(matches.back()) + ")";
   }
   if (n_unplaced > kNamed) named += ", …";
 
@@ -52,10 +53,12 @@ std::string DiagnoseRegistration(const Capture& capture, const ColmapDatabase& d
     cause = "the photos show too little texture or are blurred (about " + std::to_string(Median(keypoints)) +
             " features a photo): take sharper photos, in better light, of something that is not smooth";
   } else if (Median(matches) < kFewMatches) {
-    cause = "the photos overlap too little: add photos in between, so that neighbours share two thirds of what they show";
+    cause =
+        "the photos overlap too little: add photos in between, so that neighbours share two thirds of what they show";
   } else {
-    cause = "the photos match, but not as views of one rigid scene from different places: move the camera between photos"
-            " (turning it is not enough, nor are copies of one photo) and keep the scene still";
+    cause =
+        "the photos match, but not as views of one rigid scene from different places: move the camera between photos"
+        " (turning it is not enough, nor are copies of one photo) and keep the scene still";
   }
   return "only " + std::to_string(placed.size()) + " of " + std::to_string(capture.images.size()) +
          " photos could be placed; not placed, with their most matches to any other photo: " + named + "; " + cause;

@@ -106,7 +106,8 @@ class Sampler {
   void Add(const Vector2d& px) {
     const double x = std::clamp(px.x() - 0.5, 0.0, double(photo_.width - 1));
     const double y = std::clamp(px.y() - 0.5, 0.0, double(photo_.height - 1));
-    const int x0 = std::min(int(x), std::max(photo_.width - 2, 0)), y0 = std::min(int(y), std::max(photo_.height - 2, 0));
+    const int x0 = std::min(int(x), std::max(photo_.width - 2, 0)),
+              y0 = std::min(int(y), std::max(photo_.height - 2, 0));
     const float ax = float(x - x0), ay = float(y - y0);
     AddPixel(x0, y0, (1 - ax) * (1 - ay));
     if (ax > 0) AddPixel(x0 + 1, y0, ax * (1 - ay));
@@ -140,7 +141,9 @@ class Sampler {
 
 }  // namespace
 
-ColmapCamera PinholeTarget::Camera(uint32_t id) const { return {id, CameraModel::kPinhole, width, height, {fx, fy, cx, cy}}; }
+ColmapCamera PinholeTarget::Camera(uint32_t id) const {
+  return {id, CameraModel::kPinhole, width, height, {fx, fy, cx, cy}};
+}
 
 double LargestDisplacement(const Lens& lens, int max_image_size) {
   const ColmapCamera& camera = lens.camera();
@@ -192,8 +195,9 @@ PinholeTarget UndistortedTarget(const Lens& lens, int max_image_size) {
 Image Resample(const Image& photo, const Lens& lens, const PinholeTarget& target) {
   const ColmapCamera& camera = lens.camera();
   if (photo.width != camera.width || photo.height != camera.height) {
-    throw InputError("the photo is " + std::to_string(photo.width) + "×" + std::to_string(photo.height) + " px, its camera " +
-                     std::to_string(camera.width) + "×" + std::to_string(camera.height) + "; run ingest again");
+    throw InputError("the photo is " + std::to_string(photo.width) + "×" + std::to_string(photo.height) +
+                     " px, its camera " + std::to_string(camera.width) + "×" + std::to_string(camera.height) +
+                     "; run ingest again");
   }
   const PhotoFromTarget photo_from_target(lens, target);
   const double ratio = std::max(lens.focal_px().x() / target.fx, lens.focal_px().y() / target.fy);
@@ -222,7 +226,8 @@ std::optional<Vector2d> TargetFromPhoto(const Vector2d& px, const Lens& lens, co
   } else {
     position = {px.x() * target.width / lens.camera().width, px.y() * target.height / lens.camera().height};
   }
-  if (!(position.x() >= 0 && position.y() >= 0 && position.x() <= target.width && position.y() <= target.height)) return {};
+  if (!(position.x() >= 0 && position.y() >= 0 && position.x() <= target.width && position.y() <= target.height))
+    return {};
   return position;
 }
 

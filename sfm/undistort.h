@@ -31,8 +31,8 @@ double LargestDisplacement(const Lens& lens, int max_image_size);
 // The whole photo, scaled so that its longer side is at most `max_image_size`.
 PinholeTarget ScaledTarget(const Lens& lens, int max_image_size);
 
-// The largest rectangle (to within the bisection of one factor) whose pixels all have a source, scaled likewise; at most
-// 60° to every side. Throws InputError when that is less than a tenth of the photo across.
+// The largest rectangle (to within the bisection of one factor) whose pixels all have a source, scaled likewise; at
+// most 60° to every side. Throws InputError when that is less than a tenth of the photo across.
 PinholeTarget UndistortedTarget(const Lens& lens, int max_image_size);
 
 // The photo's pixels in the target: the mean of n × n bilinear samples over each target pixel, where n is the number of
@@ -41,6 +41,7 @@ PinholeTarget UndistortedTarget(const Lens& lens, int max_image_size);
 Image Resample(const Image& photo, const Lens& lens, const PinholeTarget& target);
 
 // Where the target has what the photo shows at `px`; nothing outside the target.
-std::optional<Eigen::Vector2d> TargetFromPhoto(const Eigen::Vector2d& px, const Lens& lens, const PinholeTarget& target);
+std::optional<Eigen::Vector2d> TargetFromPhoto(const Eigen::Vector2d& px, const Lens& lens,
+                                               const PinholeTarget& target);
 
 }  // namespace nrff

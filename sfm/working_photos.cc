@@ -17,7 +17,8 @@ namespace fs = std::filesystem;
 
 // A camera to scale the photo with: only its size matters.
 Lens PlainLens(int width, int height) {
-  return Lens({0, CameraModel::kSimplePinhole, width, height, {double(std::max(width, height)), width / 2.0, height / 2.0}});
+  return Lens(
+      {0, CameraModel::kSimplePinhole, width, height, {double(std::max(width, height)), width / 2.0, height / 2.0}});
 }
 
 void DropAlpha(Image& image, Background background) {
@@ -32,12 +33,11 @@ void DropAlpha(Image& image, Background background) {
   image.channels = 3;
 }
 
-void WriteJpeg(const Image& image, const fs::path& file) {
-  const fs::path temporary = file.parent_path() / (file.stem().string() + ".partial.jpg");
+void WritePng(const Image& image, const fs::path& file) {
+  const fs::path temporary = file.parent_path() / (file.stem().string() + ".partial.png");
   OIIO::ImageSpec spec(image.width, image.height, image.channels, OIIO::TypeDesc::UINT8);
-  spec.attribute("compression", "jpeg:95");
-  spec.attribute("jpeg:subsampling", "4:4:4");
-  const auto output = OIIO::ImageOutput::create("jpeg");
+  spec.attribute("png:compressionLevel", 1);  // soon deleted
+  const auto output = OIIO::ImageOutput::create("png");
   const bool written = output && output->open(temporary.native(), spec) &&
                        output->write_image(OIIO::TypeDesc::UINT8, image.pixels.data()) && output->close();
   if (!written) {
@@ -51,7 +51,9 @@ void WriteJpeg(const Image& image, const fs::path& file) {
 
 }  // namespace
 
-std::string WorkingPhotoName(const CaptureImage& photo) { return std::to_string(photo.camera) + "/" + photo.id + ".jpg"; }
+std::string WorkingPhotoName(const CaptureImage& photo) {
+  return std::to_string(photo.camera) + "/" + photo.id + ".png";
+}
 
 std::string IdOfWorkingPhoto(const std::string& name) { return fs::path(name).stem().string(); }
 
@@ -61,7 +63,8 @@ std::pair<int, int> WorkingSize(int width, int height, int max_size) {
 }
 
 void WriteWorkingPhotos(const Capture& capture, int max_size, int n_threads, const fs::path& dir) {
-  for (const CaptureImage& photo : capture.images) fs::create_directories((dir / WorkingPhotoName(photo)).parent_path());
+  for (const CaptureImage& photo : capture.images)
+    fs::create_directories((dir / WorkingPhotoName(photo)).parent_path());
   ForEachPhoto("scaling photos", capture.images.size(), n_threads, [&](size_t i) {
     const CaptureImage& photo = capture.images[i];
     const fs::path file = dir / WorkingPhotoName(photo);
@@ -69,7 +72,7 @@ void WriteWorkingPhotos(const Capture& capture, int max_size, int n_threads, con
     const Lens lens = PlainLens(photo.info.width, photo.info.height);
     Image image = Resample(ReadCapturedPhoto(capture, photo), lens, ScaledTarget(lens, max_size));
     DropAlpha(image, capture.background);
-    WriteJpeg(image, file);
+    WritePng(image, file);
   });
 }
 

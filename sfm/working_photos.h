@@ -8,14 +8,14 @@
 
 namespace nrff {
 
-// "CAMERA/ID.jpg": the copy's path, relative to the folder; also its name in COLMAP's database and models.
+// "CAMERA/ID.png": the copy's path, relative to the folder; also its name in COLMAP's database and models.
 std::string WorkingPhotoName(const CaptureImage& photo);
 // The id in such a name.
 std::string IdOfWorkingPhoto(const std::string& name);
 
-// Writes the copies that are not there yet, each atomically, as RGB JPEGs (quality 95, no chroma subsampling) whose longer
-// side is at most `max_size` px; transparent pixels show the capture's background (black where it has none). Throws
-// InputError when a photo changed since it was ingested, ResourceError when a copy cannot be written.
+// Writes the copies that are not there yet, each atomically, as RGB PNGs (JPEG costs one feature in twenty) whose
+// longer side is at most `max_size` px; transparent pixels show the capture's background (black where it has none).
+// Throws InputError when a photo changed since it was ingested, ResourceError when a copy cannot be written.
 void WriteWorkingPhotos(const Capture& capture, int max_size, int n_threads, const std::filesystem::path& dir);
 
 // Size of the copy of a photo of width × height.

@@ -16,6 +16,10 @@ namespace {
 
 using Eigen::Vector2d;
 
+uint8_t& Channel(Image& image, int x, int y, int c) {
+  return image.pixels[(size_t(y) * image.width + x) * image.channels + c];
+}
+
 ColmapCamera Camera(CameraModel model, std::vector<double> params, int width = 640, int height = 480) {
   return {1, model, width, height, std::move(params)};
 }
@@ -32,15 +36,16 @@ std::vector<ColmapCamera> AllModels() {
           Camera(CameraModel::kFov, {400, 405, 318, 243, 0.9}),
           Camera(CameraModel::kSimpleRadialFisheye, {300, 318, 243, -0.03}),
           Camera(CameraModel::kRadialFisheye, {300, 318, 243, -0.03, 0.005}),
-          Camera(CameraModel::kThinPrismFisheye, {300, 305, 318, 243, -0.02, 0.01, 0.001, -0.002, -0.003, 0.001, 0.002, -0.001})};
+          Camera(CameraModel::kThinPrismFisheye,
+                 {300, 305, 318, 243, -0.02, 0.01, 0.001, -0.002, -0.003, 0.001, 0.002, -0.001})};
 }
 
 TEST(Lens, EveryModelUndoesItself) {
   for (const ColmapCamera& camera : AllModels()) {
     SCOPED_TRACE(CameraModelName(camera.model));
     const Lens lens(camera);
-    for (double y = 0; y <= camera.height; y += 16) {
-      for (double x = 0; x <= camera.width; x += 16) {
+    for (int y = 0; y <= camera.height; y += 16) {
+      for (int x = 0; x <= camera.width; x += 16) {
         const auto uv = lens.CameraFromImage({x, y});
         ASSERT_TRUE(uv) << x << ", " << y;
         const auto px = lens.ImageFromCamera(*uv);
@@ -58,6 +63,7 @@ TEST(Lens, BrownAndFisheyeModelsAgreeWithOpenCV) {
   std::mt19937 random(1);
   std::uniform_real_distribution<double> coordinate(-0.6, 0.6);
   std::vector<cv::Point3d> points;
+  points.reserve(200);
   for (int i = 0; i < 200; ++i) points.emplace_back(coordinate(random), coordinate(random), 1);
   const cv::Vec3d zero(0, 0, 0);
   const cv::Matx33d intrinsics(500, 0, 318, 0, 505, 243, 0, 0, 1);
@@ -73,7 +79,8 @@ TEST(Lens, BrownAndFisheyeModelsAgreeWithOpenCV) {
     }
   };
   cv::projectPoints(points, zero, zero, intrinsics, brown, projected);
-  expect_equal(Camera(CameraModel::kFullOpenCV, {500, 505, 318, 243, -0.2, 0.06, 0.002, -0.003, 0.01, 0.03, -0.02, 0.004}));
+  expect_equal(
+      Camera(CameraModel::kFullOpenCV, {500, 505, 318, 243, -0.2, 0.06, 0.002, -0.003, 0.01, 0.03, -0.02, 0.004}));
   cv::projectPoints(points, zero, zero, intrinsics, std::vector<double>(brown.begin(), brown.begin() + 4), projected);
   expect_equal(Camera(CameraModel::kOpenCV, {500, 505, 318, 243, -0.2, 0.06, 0.002, -0.003}));
   cv::fisheye::projectPoints(points, projected, zero, zero, intrinsics, cv::Vec4d(-0.02, 0.01, -0.004, 0.001));
@@ -85,14 +92,17 @@ TEST(Lens, RadialModelsHaveTheirClosedForms) {
   const double r = 0.5;
   const auto radius = [&](const ColmapCamera& camera) { return Lens(camera).ImageFromCamera(uv)->norm(); };
   EXPECT_NEAR(radius(Camera(CameraModel::kSimpleRadial, {1, 0, 0, -0.2})), r * (1 - 0.2 * r * r), 1e-15);
-  EXPECT_NEAR(radius(Camera(CameraModel::kRadial, {1, 0, 0, -0.2, 0.1})), r * (1 - 0.2 * r * r + 0.1 * r * r * r * r), 1e-15);
+  EXPECT_NEAR(radius(Camera(CameraModel::kRadial, {1, 0, 0, -0.2, 0.1})), r * (1 - 0.2 * r * r + 0.1 * r * r * r * r),
+              1e-15);
   const double theta = std::atan(r);
-  EXPECT_NEAR(radius(Camera(CameraModel::kSimpleRadialFisheye, {1, 0, 0, 0.1})), theta * (1 + 0.1 * theta * theta), 1e-15);
+  EXPECT_NEAR(radius(Camera(CameraModel::kSimpleRadialFisheye, {1, 0, 0, 0.1})), theta * (1 + 0.1 * theta * theta),
+              1e-15);
   EXPECT_NEAR(radius(Camera(CameraModel::kFov, {1, 1, 0, 0, 0.9})), std::atan(2 * r * std::tan(0.45)) / 0.9, 1e-15);
   // Thin prism: the terms are polynomials of the equidistant coordinates.
   const Vector2d a = uv * (theta / r);
   const double s2 = a.squaredNorm();
-  const auto prism = Lens(Camera(CameraModel::kThinPrismFisheye, {1, 1, 0, 0, 0, 0, 0.01, 0.02, 0, 0, 0.03, 0.04})).ImageFromCamera(uv);
+  const auto prism = Lens(Camera(CameraModel::kThinPrismFisheye, {1, 1, 0, 0, 0, 0, 0.01, 0.02, 0, 0, 0.03, 0.04}))
+                         .ImageFromCamera(uv);
   EXPECT_NEAR(prism->x(), a.x() + 0.02 * a.x() * a.y() + 0.02 * (s2 + 2 * a.x() * a.x()) + 0.03 * s2, 1e-15);
   EXPECT_NEAR(prism->y(), a.y() + 0.04 * a.x() * a.y() + 0.01 * (s2 + 2 * a.y() * a.y()) + 0.04 * s2, 1e-15);
 }
@@ -130,8 +140,8 @@ TEST(Lens, RejectsCamerasThatMakeNoSense) {
 
 TEST(Undistort, EveryPixelOfTheTargetHasASource) {
   std::vector<ColmapCamera> cameras = AllModels();
-  cameras.push_back(Camera(CameraModel::kSimpleRadial, {300, 320, 240, -0.3}));        // folds inside the photo
-  cameras.push_back(Camera(CameraModel::kSimpleRadial, {400, 320, 240, 0.4}));         // pincushion
+  cameras.push_back(Camera(CameraModel::kSimpleRadial, {300, 320, 240, -0.3}));              // folds inside the photo
+  cameras.push_back(Camera(CameraModel::kSimpleRadial, {400, 320, 240, 0.4}));               // pincushion
   cameras.push_back(Camera(CameraModel::kOpenCVFisheye, {160, 160, 320, 240, 0, 0, 0, 0}));  // 230° across
   for (const ColmapCamera& camera : cameras) {
     SCOPED_TRACE(CameraModelName(camera.model));
@@ -142,7 +152,8 @@ TEST(Undistort, EveryPixelOfTheTargetHasASource) {
       for (int x = 0; x < target.width; ++x) {
         const auto px = lens.ImageFromCamera({(x + 0.5 - target.cx) / target.fx, (y + 0.5 - target.cy) / target.fy});
         ASSERT_TRUE(px) << x << ", " << y;
-        ASSERT_TRUE(px->x() >= 0 && px->y() >= 0 && px->x() <= camera.width && px->y() <= camera.height) << x << ", " << y;
+        ASSERT_TRUE(px->x() >= 0 && px->y() >= 0 && px->x() <= camera.width && px->y() <= camera.height)
+            << x << ", " << y;
       }
     }
   }
@@ -158,25 +169,27 @@ TEST(Undistort, TheTargetIsAsLargeAsThePhotoAllows) {
 
 TEST(Undistort, ShowsWhatAPinholeCameraWouldSee) {
   // A smooth pattern on the plane z = 1, seen through the lens, must come out as seen without it.
-  const auto pattern = [](const Vector2d& uv, int c) { return 128 + 100 * std::sin(6 * uv.x() + c) * std::cos(5 * uv.y()); };
+  const auto pattern = [](const Vector2d& uv, int c) {
+    return 128 + 100 * std::sin(6 * uv.x() + c) * std::cos(5 * uv.y());
+  };
   const Lens lens(Camera(CameraModel::kOpenCV, {500, 505, 318, 243, -0.2, 0.06, 0.002, -0.003}));
   Image photo{640, 480, 3, std::vector<uint8_t>(640 * 480 * 3)};
   for (int y = 0; y < 480; ++y) {
     for (int x = 0; x < 640; ++x) {
       const auto uv = lens.CameraFromImage({x + 0.5, y + 0.5});
       ASSERT_TRUE(uv);
-      for (int c = 0; c < 3; ++c) photo.pixels[size_t(3 * (640 * y + x) + c)] = uint8_t(std::lround(pattern(*uv, c)));
+      for (int c = 0; c < 3; ++c) Channel(photo, x, y, c) = uint8_t(std::lround(pattern(*uv, c)));
     }
   }
   for (const int max_size : {640, 250}) {
     const PinholeTarget target = UndistortedTarget(lens, max_size);
-    const Image image = Resample(photo, lens, target);
+    Image image = Resample(photo, lens, target);
     double largest = 0;
     for (int y = 0; y < target.height; ++y) {
       for (int x = 0; x < target.width; ++x) {
         const Vector2d uv((x + 0.5 - target.cx) / target.fx, (y + 0.5 - target.cy) / target.fy);
         for (int c = 0; c < 3; ++c) {
-          largest = std::max(largest, std::abs(image.pixels[size_t(3 * (target.width * y + x) + c)] - pattern(uv, c)));
+          largest = std::max(largest, std::abs(Channel(image, x, y, c) - pattern(uv, c)));
         }
       }
     }
@@ -202,8 +215,8 @@ TEST(Resample, APhotoThatKeepsItsSizeIsCopied) {
 
 TEST(Resample, ScalingDownAveragesEveryPixel) {
   const Lens lens(Camera(CameraModel::kPinhole, {500, 505, 31, 24}, 60, 48));
-  const Image photo = Noise(60, 48, 3);
-  const Image small = Resample(photo, lens, ScaledTarget(lens, 20));
+  Image photo = Noise(60, 48, 3);
+  Image small = Resample(photo, lens, ScaledTarget(lens, 20));
   ASSERT_EQ(small.width, 20);
   ASSERT_EQ(small.height, 16);
   for (int y = 0; y < 16; ++y) {
@@ -211,9 +224,9 @@ TEST(Resample, ScalingDownAveragesEveryPixel) {
       for (int c = 0; c < 3; ++c) {
         double sum = 0;
         for (int b = 0; b < 3; ++b) {
-          for (int a = 0; a < 3; ++a) sum += photo.pixels[size_t(3 * (60 * (3 * y + b) + 3 * x + a) + c)];
+          for (int a = 0; a < 3; ++a) sum += Channel(photo, 3 * x + a, 3 * y + b, c);
         }
-        EXPECT_NEAR(small.pixels[size_t(3 * (20 * y + x) + c)], sum / 9, 0.51);
+        EXPECT_NEAR(Channel(small, x, y, c), sum / 9, 0.51);
       }
     }
   }

@@ -45,11 +45,13 @@ esac
 )sh";
 
 constexpr char kHelp38[] =
-    "--database_path arg\n--image_path arg\n--output_path arg\n--image_list_path arg\n--match_list_path arg\n--random_seed arg\n"
+    "--database_path arg\n--image_path arg\n--output_path arg\n--image_list_path arg\n--match_list_path "
+    "arg\n--random_seed arg\n"
     "--SiftExtraction.use_gpu arg\n--SiftMatching.use_gpu arg\n--Mapper.min_model_size arg\n";
 constexpr char kHelp313[] =
     "--database_path arg\n--image_path arg\n--output_path arg\n--image_list_path arg\n--match_list_path arg\n"
-    "--default_random_seed arg\n--FeatureExtraction.use_gpu arg\n--FeatureMatching.use_gpu arg\n--Mapper.min_model_size arg\n";
+    "--default_random_seed arg\n--FeatureExtraction.use_gpu arg\n--FeatureMatching.use_gpu "
+    "arg\n--Mapper.min_model_size arg\n";
 
 class Estimate : public ::testing::Test {
  protected:
@@ -85,7 +87,8 @@ class Estimate : public ::testing::Test {
       sql += "INSERT INTO keypoints VALUES (" + id + ", 1000, 6, NULL);";
     }
     for (const auto& [a, b] : AllPairs(8)) {
-      sql += "INSERT INTO two_view_geometries VALUES (" + std::to_string(2147483647LL * (a + 1) + b + 1) + ", " + std::to_string(n_matches) + ");";
+      sql += "INSERT INTO two_view_geometries VALUES (" + std::to_string(2147483647LL * (a + 1) + b + 1) + ", " +
+             std::to_string(n_matches) + ");";
     }
     sqlite3* database = nullptr;
     ASSERT_EQ(sqlite3_open((fake_ / "database.db").c_str(), &database), SQLITE_OK);
@@ -96,6 +99,7 @@ class Estimate : public ::testing::Test {
   // What the mapper finds: model `number` of these photos.
   void AddModel(int number, const std::vector<int>& photos) {
     std::vector<std::string> names;
+    names.reserve(photos.size());
     for (const int i : photos) names.push_back(WorkingPhotoName(capture_.images[size_t(i)]));
     const fs::path dir = fake_ / "models" / std::to_string(number);
     fs::create_directories(dir);
@@ -193,8 +197,8 @@ TEST_F(Estimate, AProgramThatIsNotColmapIsAnError) {
 
 TEST_F(Estimate, AFailingColmapIsQuoted) {
   Script("feature_extractor", "echo working; echo 'Check failed: no memory' >&2; exit 134");
-  ExpectError(ExitCode::kExternalTool,
-              AllOf(HasSubstr("feature_extractor exited with status 134"), HasSubstr("Check failed: no memory"), HasSubstr("colmap.log")));
+  ExpectError(ExitCode::kExternalTool, AllOf(HasSubstr("feature_extractor exited with status 134"),
+                                             HasSubstr("Check failed: no memory"), HasSubstr("colmap.log")));
 }
 
 TEST_F(Estimate, ACrashingMapperIsNotADiagnosis) {
@@ -212,7 +216,8 @@ TEST_F(Estimate, AHangingColmapIsStopped) {
 TEST_F(Estimate, SpeaksTheNamesOfOldAndNewColmaps) {
   AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
   Run();
-  EXPECT_THAT(Calls(), AllOf(HasSubstr("--SiftExtraction.use_gpu 0"), HasSubstr("--random_seed 0"), Not(HasSubstr("Feature"))));
+  EXPECT_THAT(Calls(),
+              AllOf(HasSubstr("--SiftExtraction.use_gpu 0"), HasSubstr("--random_seed 0"), Not(HasSubstr("Feature"))));
   fs::remove(fake_ / "calls");
   WriteFileAtomically(fake_ / "help", kHelp313);
   Run();
@@ -227,7 +232,8 @@ TEST_F(Estimate, AnInterruptedRunGoesOn) {
   fs::remove(fake_ / "mapper");
   fs::remove(fake_ / "calls");
   Run();
-  EXPECT_THAT(Calls(), AllOf(HasSubstr("mapper"), Not(HasSubstr("feature_extractor")), Not(HasSubstr("matches_importer"))));
+  EXPECT_THAT(Calls(),
+              AllOf(HasSubstr("mapper"), Not(HasSubstr("feature_extractor")), Not(HasSubstr("matches_importer"))));
 }
 
 TEST(ImagePairs, SequentialPairsHoldNeighboursAndGrowSlowly) {

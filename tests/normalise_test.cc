@@ -33,7 +33,9 @@ std::vector<Vector3d> Cloud(int n, const Vector3d& center, double radius, unsign
   std::mt19937 random(seed);
   std::uniform_real_distribution<double> coordinate(-radius, radius);
   std::vector<Vector3d> points;
-  for (int i = 0; i < n; ++i) points.emplace_back(center + Vector3d(coordinate(random), coordinate(random), coordinate(random)));
+  points.reserve(size_t(n));
+  for (int i = 0; i < n; ++i)
+    points.emplace_back(center + Vector3d(coordinate(random), coordinate(random), coordinate(random)));
   return points;
 }
 
@@ -50,7 +52,8 @@ NormaliseInput Turntable() {
   NormaliseInput input;
   for (int i = 0; i < 24; ++i) {
     const double angle = 2 * M_PI * i / 24;
-    input.cameras.push_back(LookAt(kObject + Vector3d(4 * std::cos(angle), 4 * std::sin(angle), i % 2 ? 1.0 : 2.0), kObject));
+    input.cameras.push_back(
+        LookAt(kObject + Vector3d(4 * std::cos(angle), 4 * std::sin(angle), i % 2 ? 1.0 : 2.0), kObject));
   }
   input.points = Cloud(500, kObject, 0.8);
   for (const Vector3d& point : Cloud(200, kObject, 40)) input.points.push_back(point);
@@ -77,7 +80,9 @@ NormaliseInput Transformed(NormaliseInput input, double scale, const Matrix3d& r
   return input;
 }
 
-Vector3d ToScene(const Normalisation& n, const Vector3d& world) { return (n.scene_from_world * world.homogeneous()).head<3>(); }
+Vector3d ToScene(const Normalisation& n, const Vector3d& world) {
+  return (n.scene_from_world * world.homogeneous()).head<3>();
+}
 
 void ExpectSimilarity(const Normalisation& n) {
   ASSERT_TRUE(n.scene_from_world.allFinite());
@@ -215,11 +220,14 @@ TEST(Normalise, AMaskedCaptureWithoutPointsIsBoundedByWhatAllCamerasSee) {
 
 TEST(Normalise, DegenerateCapturesStillHaveAFiniteScene) {
   std::vector<NormaliseInput> inputs(5);
-  inputs[0].cameras = {LookAt({1, 2, 3}, {1, 5, 3})};                                   // one camera
-  inputs[1].cameras = {LookAt({1, 2, 3}, {1, 5, 3}), LookAt({1, 2, 3}, {4, 5, 3}), LookAt({1, 2, 3}, {-4, 5, 2})};  // one place
-  inputs[2].cameras = SideBySide().cameras;                                             // on a line, parallel
-  inputs[3].cameras = {LookAt({0, 0, 0}, {0, 0, -1}, Vector3d::UnitY()), LookAt({1, 0, 0}, {1, 0, -1}, Vector3d::UnitY())};  // down
-  inputs[4].cameras = {LookAt({0, 0, 0}, {5, 5, 0}), LookAt({5, 0, 0}, {5, 5, 0}), LookAt({10, 0, 0}, {5, 5, 0})};  // on a line, inwards
+  inputs[0].cameras = {LookAt({1, 2, 3}, {1, 5, 3})};  // one camera
+  inputs[1].cameras = {LookAt({1, 2, 3}, {1, 5, 3}), LookAt({1, 2, 3}, {4, 5, 3}),
+                       LookAt({1, 2, 3}, {-4, 5, 2})};  // one place
+  inputs[2].cameras = SideBySide().cameras;             // on a line, parallel
+  inputs[3].cameras = {LookAt({0, 0, 0}, {0, 0, -1}, Vector3d::UnitY()),
+                       LookAt({1, 0, 0}, {1, 0, -1}, Vector3d::UnitY())};  // down
+  inputs[4].cameras = {LookAt({0, 0, 0}, {5, 5, 0}), LookAt({5, 0, 0}, {5, 5, 0}),
+                       LookAt({10, 0, 0}, {5, 5, 0})};  // on a line, inwards
   for (size_t i = 0; i < inputs.size(); ++i) {
     SCOPED_TRACE(i);
     ExpectSimilarity(Normalise(inputs[i]));

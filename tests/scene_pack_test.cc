@@ -75,7 +75,8 @@ TEST_F(ScenePack, PointsProjectToWhereTheLensHadThem) {
       }
       ASSERT_TRUE(image) << view.name;
       for (const ColmapObservation& observation : image->observations) {
-        const Eigen::Vector3d in_scene = Apply(scene.scene_from_world, model_.points.at(uint64_t(observation.point_id)).position);
+        const Eigen::Vector3d in_scene =
+            Apply(scene.scene_from_world, model_.points.at(uint64_t(observation.point_id)).position);
         const Eigen::Vector3d p = Apply(InverseSimilarity(view.scene_from_camera), in_scene);
         EXPECT_NEAR(view.fx * p.x() / p.z() + view.cx, observation.x, 1e-6);
         EXPECT_NEAR(view.fy * p.y() / p.z() + view.cy, observation.y, 1e-6);
@@ -120,7 +121,8 @@ TEST_F(ScenePack, ViewsWithoutAPoseAreLeftOutAndListed) {
 TEST_F(ScenePack, TransformsJsonHoldsTheSameCameras) {
   Make(5, -0.05);
   Write();
-  fs::copy(capture_.root, pose_, fs::copy_options::recursive | fs::copy_options::skip_existing);  // so that file_path is found
+  fs::copy(capture_.root, pose_,
+           fs::copy_options::recursive | fs::copy_options::skip_existing);  // so that file_path is found
   const auto source = ReadTransformsSource(pose_);
   ASSERT_TRUE(source && source->model);
   const ColmapModel pinhole = ReadColmapModel(pose_ / "sparse");
