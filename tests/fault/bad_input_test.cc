@@ -379,9 +379,9 @@ TEST_F(Colmap, FailureOfOneCaptureDoesNotStopTheOthers) {
   const fs::path nowhere = temporary_.path() / "no-such-colmap";
   const ProgramResult result = RunProgram({"nrff", "run", photos_, posed, "-w", work, "--until", "pose"},
                                           {.environment = {{"NRFF_COLMAP", nowhere}}});
-  ExpectError(result, ExitCode::kExternalTool, {"photos", "no-such-colmap"});
+  ExpectError(result, ExitCode::kExternalTool, {"sfm", "no-such-colmap"});
   EXPECT_TRUE(ReadManifest(work / "posed" / "pose").has_value());
-  EXPECT_TRUE(ReadManifest(work / "photos" / "ingest").has_value());
+  EXPECT_TRUE(ReadManifest(work / CaptureFolderName(photos_) / "ingest").has_value());
 }
 
 }  // namespace
