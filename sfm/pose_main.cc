@@ -41,7 +41,7 @@ CLI::Option* AddForced(CLI::App& app, const std::string& name, std::optional<boo
             value = text == "auto" ? std::nullopt : std::optional(text == needed);
           },
           help)
-      ->check(CLI::IsMember({"auto", needed.c_str(), not_needed.c_str()}))
+      ->check(CLI::IsMember(std::vector<std::string>{"auto", needed, not_needed}))
       ->default_str("auto")
       ->group(nrff::kParameterGroup);
 }

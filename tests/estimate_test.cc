@@ -9,6 +9,7 @@
 #include <cmath>
 #include <cstdlib>
 
+#include "pipeline/process.h"
 #include "sfm/colmap_database.h"
 #include "sfm/image_pairs.h"
 #include "sfm/ingest.h"
@@ -234,6 +235,31 @@ TEST_F(Estimate, AnInterruptedRunGoesOn) {
   Run();
   EXPECT_THAT(Calls(),
               AllOf(HasSubstr("mapper"), Not(HasSubstr("feature_extractor")), Not(HasSubstr("matches_importer"))));
+}
+
+TEST_F(Estimate, MatchingCanBeForcedOnTheCommandLine) {
+  AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
+  ArtifactWriter ingest("ingest", ingest_, {}, {});
+  SaveCapture(capture_, ingest.dir());
+  ingest.AddOutput(kCaptureFile);
+  ingest.Commit();
+  for (const std::string matching : {"sequential", "exhaustive"}) {
+    ProcessOptions process;
+    process.command = {std::string(NRFF_BIN_DIR) + "/nrff-pose",
+                       "estimate",
+                       "--ingest",
+                       ingest_.native(),
+                       "--out",
+                       sfm_.native(),
+                       "--matching",
+                       matching};
+    const ProcessResult result = RunProcess(process);
+    ASSERT_TRUE(result.Succeeded()) << ::testing::PrintToString(result.last_lines);
+    const Manifest manifest = RequireArtifact(sfm_, "sfm");
+    EXPECT_EQ(manifest.facts.at("matching"), matching);
+    EXPECT_EQ(manifest.params, (Params{{"matching", matching}}));
+    EXPECT_EQ(manifest.decisions.at(0).reason, "forced by an option");
+  }
 }
 
 TEST(ImagePairs, SequentialPairsHoldNeighboursAndGrowSlowly) {
