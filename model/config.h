@@ -72,9 +72,9 @@ struct TrainConfig {
   int occupancy_min_views = 0;        // unbounded scenes: cells seen by fewer training views are empty
   double shrink_moment = 2. / 30;     // when the box of a bounded scene shrinks to what is occupied; 0: never
 
-  // Samples of less weight are not shaded. The threshold falls log-linearly until weight_threshold_moment.
+  // Samples of less weight are not shaded. The threshold falls log-linearly until weight_threshold_moment; its last
+  // value is also that of the trained model, which has learnt to show the scene without those samples.
   double weight_threshold_first = 1e-4, weight_threshold_last = 1e-4, weight_threshold_moment = 0;
-  double render_weight_threshold = 1e-4;  // of the trained model
 
   double unknown_background = 0.5;  // grey level behind everything where the scene names none
 };

@@ -34,7 +34,8 @@ struct TrainState {
   double seconds = 0;   // spent in steps
   double progress_at_reset = 0;  // when the learning rates last started anew
   int step_stage = 0;            // index into TrainConfig::step_voxels
-  int occupancy_updates = 0;
+  int occupancy_updates = 0;       // also the counter of their random streams
+  int occupancy_moments_done = 0;  // of TrainConfig::occupancy_moments
   bool shrunk = false;
   int64_t n_skipped = 0;     // steps left out for a non-finite loss or gradient
   int n_skipped_in_row = 0;

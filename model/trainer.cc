@@ -62,27 +62,24 @@ double Trainer::Progress() const {
                                      : double(state_.step) / double(preset_.train.steps);
 }
 
-RenderOptions Trainer::Options(double weight_threshold) const {
+RenderOptions Trainer::EvaluationOptions() const {
   RenderOptions options;
   options.step = MarchingStep(preset_.train, state_.step_stage, state_.map);
   options.near = scene_.near;
   options.far = scene_.far;
-  options.weight_threshold = weight_threshold;
-  options.stop_transmittance = weight_threshold;
+  options.weight_threshold = WeightThreshold(preset_.train, Progress());
+  options.stop_transmittance = options.weight_threshold;
   options.background = background_;
   return options;
 }
-
-RenderOptions Trainer::EvaluationOptions() const { return Options(WeightThreshold(preset_.train, Progress())); }
-
-RenderOptions Trainer::FinalOptions() const { return Options(preset_.train.render_weight_threshold); }
 
 double Trainer::TrainPsnr() const { return -10 * std::log10(state_.train_mse < 0 ? NAN : state_.train_mse); }
 
 void Trainer::UpdateOccupancy(bool all_cells) {
   const TrainConfig& config = preset_.train;
   OccupancyGrid::UpdateOptions options;
-  options.step = MarchingStep(config, state_.step_stage, state_.map);
+  // Over the last stage's step, so that opacities measured in different stages can be compared.
+  options.step = MarchingStep(config, int(config.step_voxels.size()) - 1, state_.map);
   options.decay = float(config.occupancy_decay);
   options.threshold = float(config.occupancy_threshold);
   if (!all_cells) options.n_random = options.n_occupied = config.occupancy_cells / 2;
@@ -125,8 +122,9 @@ void Trainer::FollowSchedule(double progress) {
     }
   } else {
     const auto& moments = config.occupancy_moments;
-    const auto n_due = std::upper_bound(moments.begin(), moments.end(), progress) - moments.begin();
-    if (state_.occupancy_updates < n_due) UpdateOccupancy(/*all_cells=*/true);
+    const auto n_due = int(std::upper_bound(moments.begin(), moments.end(), progress) - moments.begin());
+    if (state_.occupancy_moments_done < n_due) UpdateOccupancy(/*all_cells=*/true);
+    state_.occupancy_moments_done = n_due;
   }
   const bool may_shrink = !scene_.unbounded && config.shrink_moment > 0 && state_.occupancy_updates > 0;
   if (may_shrink && !state_.shrunk && progress >= config.shrink_moment) Shrink();

@@ -41,8 +41,6 @@ class Trainer {
 
   // How images of the present model are rendered.
   RenderOptions EvaluationOptions() const;
-  // The same for the trained model.
-  RenderOptions FinalOptions() const;
 
   // dB; NaN before the first step.
   double TrainPsnr() const;
@@ -53,8 +51,6 @@ class Trainer {
   void Shrink();
   // Nothing when all is finite, else what is not.
   std::string Optimise(const torch::Tensor& loss, double progress);
-  RenderOptions Options(double weight_threshold) const;
-
   const Scene& scene_;
   Preset preset_;
   TrainOptions options_;

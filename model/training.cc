@@ -135,7 +135,7 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
   TrainToTheEnd(*trainer, held_out, settings.dump(), artifact);
 
   const TrainState& state = trainer->state();
-  SaveModel(artifact.dir(), state, trainer->FinalOptions());
+  SaveModel(artifact.dir(), state, trainer->EvaluationOptions());
   SaveCheckpoint(artifact.dir(), state, settings.dump());
   artifact.facts() = {{"steps", state.step},
                       {"samples", state.samples},

@@ -124,7 +124,7 @@ class TrainTest : public ::testing::Test {
   // The bytes that SaveModel writes for the state.
   std::string ModelBytes(const Trainer& trainer) const {
     const TemporaryDirectory out;
-    SaveModel(out.path(), trainer.state(), trainer.FinalOptions());
+    SaveModel(out.path(), trainer.state(), trainer.EvaluationOptions());
     return ReadFile(out.path() / kModelFile);
   }
 
@@ -190,13 +190,13 @@ TEST_F(TrainTest, ModelReadBackShowsTheSame) {
   Trainer trainer(scene_, pack_, TestPreset(40), {});
   while (!trainer.Done()) trainer.Step();
   const TemporaryDirectory out;
-  SaveModel(out.path(), trainer.state(), trainer.FinalOptions());
+  SaveModel(out.path(), trainer.state(), trainer.EvaluationOptions());
   const std::unique_ptr<LoadedModel> model = LoadModel(out.path());
   EXPECT_EQ(model->field->config(), trainer.preset().field);
   const HeldOutViews held_out(scene_, pack_, 1);
   const TrainState& state = trainer.state();
   EXPECT_EQ(held_out.Psnr(*model->field, model->occupancy, model->map, model->options),
-            held_out.Psnr(state.field, state.occupancy, state.map, trainer.FinalOptions()));
+            held_out.Psnr(state.field, state.occupancy, state.map, trainer.EvaluationOptions()));
 }
 
 TEST_F(TrainTest, NothingThatIsNotFiniteIsWritten) {
