@@ -1,5 +1,6 @@
 #include "model/config.h"
 
+#include <cmath>
 #include <stdexcept>
 
 #include "model/kernels/feature_grid.h"
@@ -89,7 +90,7 @@ Preset SmallPreset(bool unbounded) {
   train.density_l1_weight = 0;
   train.density_l1_weight_later = 0;
   train.sparsity_weight = 1e-4;
-  train.step_voxels = unbounded ? std::vector{32, 64, 128, 256} : std::vector{16, 32, 64, 128};
+  train.step_voxels = unbounded ? std::vector{24, 48, 96, 192} : std::vector{16, 32, 64, 128};
   train.step_moments = {0.03, 0.06, 0.1};
   train.step_ratio = 1;
   train.occupancy_resolution = unbounded ? 128 : 64;
@@ -134,6 +135,19 @@ Preset MakePreset(const std::string& name, bool unbounded) {
   std::string names;
   for (const char* known : kPresetNames) names += (names.empty() ? "" : ", ") + std::string(known);
   throw UsageError("--preset '" + name + "' is not known; the presets are " + names);
+}
+
+Decision FitLevelsToViews(Preset& preset, const std::string& name, int n_train_views) {
+  FieldConfig& field = preset.field;
+  const int wanted = name == "paper" ? field.max_resolution : needs::FinestResolution(n_train_views);
+  Decision decision = needs::FineLevels(n_train_views, field.max_resolution, wanted);
+  if (decision.needed) return decision;
+  // Levels keep their ratio: those that stay are as coarse as before.
+  const double octaves = std::log2(double(field.max_resolution) / field.base_resolution);
+  const double octaves_left = std::log2(double(wanted) / field.base_resolution);
+  field.levels = std::max(1, 1 + int(std::lround((field.levels - 1) * octaves_left / octaves)));
+  field.max_resolution = wanted;
+  return decision;
 }
 
 }  // namespace nrff

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "pipeline/json.h"
+#include "pipeline/needs.h"
 
 namespace nrff {
 
@@ -93,5 +94,9 @@ inline constexpr const char* kPresetNames[] = {"paper", "small", "tiny"};
 
 // Throws UsageError listing the presets when there is none of that name.
 Preset MakePreset(const std::string& name, bool unbounded);
+
+// Leaves out the grid levels finer than so many training views can settle (needs::FinestResolution); says what was
+// decided. `paper` is left as published.
+Decision FitLevelsToViews(Preset& preset, const std::string& name, int n_train_views);
 
 }  // namespace nrff

@@ -33,8 +33,9 @@ std::string Decibels(double psnr) {
   return text;
 }
 
-Preset ChoosePreset(const TrainingRequest& request, const Scene& scene) {
+Preset ChoosePreset(const TrainingRequest& request, const Scene& scene, Decision& fine_levels) {
   Preset preset = MakePreset(request.preset, scene.unbounded);
+  fine_levels = FitLevelsToViews(preset, request.preset, int(scene.ViewsOf(Split::kTrain).size()));
   if (request.steps > 0) preset.train.steps = request.steps;
   return preset;
 }
@@ -121,7 +122,8 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
   const Manifest scene_manifest = RequireArtifact(request.scene_dir, "pose");
   const Scene scene = LoadScene(request.scene_dir);
   const ImagePack pack(request.scene_dir);
-  const Preset preset = ChoosePreset(request, scene);
+  Decision fine_levels;
+  const Preset preset = ChoosePreset(request, scene, fine_levels);
   const TrainOptions options{.budget_seconds = request.budget_seconds, .seed = request.seed};
   const Json settings = Settings(request, preset);
 
@@ -154,6 +156,7 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
                       {"occupied_fraction", state.occupancy.OccupiedFraction()},
                       {"resumed", state.resumed}};
   artifact.AddDecision(device);
+  artifact.AddDecision(fine_levels);
   artifact.AddOutput(kModelFile);
   artifact.Commit();
 }

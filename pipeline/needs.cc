@@ -71,6 +71,15 @@ Decision ExhaustiveMatching(int n_images, bool ordered) {
                            : "any two photos may overlap"};
 }
 
+int FinestResolution(int n_train_views) { return n_train_views < 16 ? 64 : n_train_views < 32 ? 128 : 256; }
+
+Decision FineLevels(int n_train_views, int finest, int wanted) {
+  const bool needed = finest <= wanted;
+  return {"fine_levels", needed, std::to_string(n_train_views) + " training views, finest level " + std::to_string(finest),
+          "finest level " + std::to_string(wanted) + " for so many views",
+          needed ? "the views settle every level" : "finer levels would learn each view by heart"};
+}
+
 Decision Lpips(const std::string& network_path) {
   const bool given = !network_path.empty();
   return {"lpips", given, given ? "network " + network_path : "no network file", "a network file",

@@ -335,6 +335,16 @@ TEST(Schedule, RunsFromItsFirstValuesToItsLast) {
   for (int i = 1; i < kCurvePoints; ++i) EXPECT_GT(CurveMoment(i), CurveMoment(i - 1));
 }
 
+TEST(Presets, FewViewsLeaveOutFineLevelsAndKeepTheRatioOfThoseThatStay) {
+  Preset few = MakePreset("small", true), many = few, paper = MakePreset("paper", true);
+  EXPECT_FALSE(FitLevelsToViews(few, "small", 9).needed);
+  EXPECT_EQ(few.field.max_resolution, 64);
+  EXPECT_EQ(few.field.levels, 5);  // 16 … 64 of the eight levels 16 … 256
+  EXPECT_TRUE(FitLevelsToViews(many, "small", 43).needed);
+  EXPECT_EQ(many.field, MakePreset("small", true).field);
+  EXPECT_TRUE(FitLevelsToViews(paper, "paper", 9).needed);
+}
+
 TEST(Presets, EachIsConsistentAndUnknownOnesAreNamed) {
   for (const char* name : kPresetNames) {
     for (const bool unbounded : {false, true}) {
