@@ -56,11 +56,13 @@ class Writer {
     tensors_.push_back({name, DType::kF32, tensor.sizes().vec(), tensor.const_data_ptr<float>()});
   }
   void Add(const NrffField& field) {
-    for (const NrffField::Parameter& parameter : field.parameters()) Add(kParameterPrefix + parameter.name, parameter.value);
+    for (const NrffField::Parameter& parameter : field.parameters())
+      Add(kParameterPrefix + parameter.name, parameter.value);
   }
   void Add(const OccupancyGrid::State& occupancy) {
     const auto n_words = int64_t(occupancy.seen.size());
-    tensors_.push_back({"occupancy/opacity", DType::kF32, {int64_t(occupancy.opacity.size())}, occupancy.opacity.data()});
+    tensors_.push_back(
+        {"occupancy/opacity", DType::kF32, {int64_t(occupancy.opacity.size())}, occupancy.opacity.data()});
     tensors_.push_back({"occupancy/seen", DType::kI64, {n_words}, occupancy.seen.data()});
     tensors_.push_back({"occupancy/occupied", DType::kI64, {n_words}, occupancy.occupied.data()});
     tensors_.push_back({"occupancy/resolution", DType::kI64, {1}, &(resolution_ = occupancy.resolution)});
@@ -176,8 +178,9 @@ std::unique_ptr<LoadedModel> LoadModel(const std::filesystem::path& dir) {
   options.weight_threshold = Get<double>(render, "weight_threshold", where);
   options.stop_transmittance = Get<double>(render, "stop_transmittance", where);
   options.background = Get<double>(render, "background", where);
-  auto model = std::make_unique<LoadedModel>(LoadedModel{std::make_unique<NrffField>(config, torch::kFloat, 0),
-                                                         ReadOccupancy(file), Get<SceneMap>(json, "map", where), options});
+  auto model =
+      std::make_unique<LoadedModel>(LoadedModel{std::make_unique<NrffField>(config, torch::kFloat, 0),
+                                                ReadOccupancy(file), Get<SceneMap>(json, "map", where), options});
   Read(file, *model->field);
   return model;
 }

@@ -29,7 +29,7 @@ struct FieldConfig {
   int spatial_layers = 3, spatial_width = 256;
   int bottleneck_width = 128;
   int lobes_theta = 8, lobes_phi = 16;  // kernels/ree.h
-  int lobe_row_width = 16;              // features per row of lobes, from which a shared linear layer predicts a, λ, μ
+  int lobe_row_width = 16;  // features per row of lobes, from which a shared linear layer predicts a, λ, μ
   int directional_layers = 6, directional_width = 256;
   Activation activation = Activation::kGelu;
 
@@ -55,8 +55,8 @@ struct TrainConfig {
   double density_l1_weight_later = 4e-5;  // from shrink_moment on
   double sparsity_weight = 0;             // losses.h
 
-  // Marching step = step_ratio · (volume of the box)^(1/3) / step_voxels[i]; i grows at each of step_moments. The box of
-  // an unbounded scene is that of contracted space, of side 4.
+  // Marching step = step_ratio · (volume of the box)^(1/3) / step_voxels[i]; i grows at each of step_moments. The box
+  // of an unbounded scene is that of contracted space, of side 4.
   std::vector<int> step_voxels = {128, 152, 180, 213, 253, 300};
   std::vector<double> step_moments = {2. / 30, 3. / 30, 4. / 30, 5.5 / 30, 7. / 30};
   double step_ratio = 0.5;
@@ -70,8 +70,8 @@ struct TrainConfig {
   double occupancy_threshold = 1e-5;  // opacity over a step
   double occupancy_decay = 0;
   bool occupancy_dilate = true;
-  int occupancy_min_views = 0;        // unbounded scenes: cells seen by fewer training views are empty
-  double shrink_moment = 2. / 30;     // when the box of a bounded scene shrinks to what is occupied; 0: never
+  int occupancy_min_views = 0;     // unbounded scenes: cells seen by fewer training views are empty
+  double shrink_moment = 2. / 30;  // when the box of a bounded scene shrinks to what is occupied; 0: never
 
   // Samples of less weight are not shaded. The threshold falls log-linearly until weight_threshold_moment; its last
   // value is also that of the trained model, which has learnt to show the scene without those samples.

@@ -23,7 +23,8 @@ Tensor CropGrid(const GridLayout& layout, const Tensor& parameters, const std::a
   for (const GridLayout::Level& level : layout.levels) {
     const int64_t n = level.resolution, n_channels = layout.n_channels;
     std::array<Tensor, 3> weights;
-    for (int axis = 0; axis < 3; ++axis) weights[axis] = Interpolation(int(n), min[axis], max[axis], parameters.options());
+    for (int axis = 0; axis < 3; ++axis)
+      weights[axis] = Interpolation(int(n), min[axis], max[axis], parameters.options());
     for (int p = 0; p < 3; ++p) {
       const auto& [column_axis, row_axis, line_axis, plane_name, line_name] = kGridProducts[p];
       const Tensor plane = parameters.narrow(0, level.plane_offsets[p], n * n * n_channels).view({n, n, n_channels});

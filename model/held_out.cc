@@ -46,7 +46,8 @@ double HeldOutViews::Psnr(const RadianceField& field, const OccupancyGrid& occup
 
 std::string HeldOutViews::Protocol() const {
   return "mean PSNR of " + std::to_string(batches_.size()) + " held-out views spread over their order, each over a " +
-         "lattice of about " + std::to_string(kMostPixels) + " of its pixels at full resolution, in [0, 1], not quantised";
+         "lattice of about " + std::to_string(kMostPixels) +
+         " of its pixels at full resolution, in [0, 1], not quantised";
 }
 
 }  // namespace nrff

@@ -13,8 +13,8 @@
 
 namespace nrff {
 
-// PSNR over a fixed lattice of pixels of up to eight held-out views, spread over their order: the mean over the views of
-// each view's PSNR, in dB, not quantised.
+// PSNR over a fixed lattice of pixels of up to eight held-out views, spread over their order: the mean over the views
+// of each view's PSNR, in dB, not quantised.
 class HeldOutViews {
  public:
   static constexpr int kMostViews = 8;

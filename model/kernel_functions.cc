@@ -20,7 +20,8 @@ void WithScalar(const Tensor& tensor, Body&& body) {
   } else if (tensor.scalar_type() == torch::kDouble) {
     body(double{});
   } else {
-    throw std::invalid_argument(std::string("kernels take float or double, not ") + c10::toString(tensor.scalar_type()));
+    throw std::invalid_argument(std::string("kernels take float or double, not ") +
+                                c10::toString(tensor.scalar_type()));
   }
 }
 
@@ -55,7 +56,8 @@ class GridFunction : public torch::autograd::Function<GridFunction<kReadOut>> {
     const Tensor points = points_in.contiguous();
     const GridLayout& layout = shared->layout;
     const int64_t n = points.size(0);
-    Tensor features = kConcat ? at::empty({n, layout.n_features()}, points.options()) : at::empty({n}, points.options());
+    Tensor features =
+        kConcat ? at::empty({n, layout.n_features()}, points.options()) : at::empty({n}, points.options());
     WithScalar(parameters, [&](auto scalar) {
       using Scalar = decltype(scalar);
       constexpr auto* kForward = kConcat ? GridConcatForward<Scalar> : GridSumForward<Scalar>;

@@ -26,7 +26,7 @@ double Normal(uint64_t seed, uint64_t stream, uint64_t counter) {
 
 // Fills a contiguous tensor with draw(index).
 template <typename Draw>
-void Fill(Tensor tensor, const Draw& draw) {
+void Fill(const Tensor& tensor, const Draw& draw) {
   const int64_t n = tensor.numel();
   if (tensor.scalar_type() == torch::kFloat) {
     auto* data = tensor.mutable_data_ptr<float>();
@@ -52,10 +52,10 @@ void ForEachFactor(const GridLayout& layout, const Body& body) {
 NrffField::NrffField(const FieldConfig& config, torch::Dtype type, uint64_t seed)
     : config_(config),
       type_(type),
-      density_layout_(c10::make_intrusive<SharedGridLayout>(MakeGridLayout(
-          config.levels, config.base_resolution, config.max_resolution, config.density_channels))),
-      appearance_layout_(c10::make_intrusive<SharedGridLayout>(MakeGridLayout(
-          config.levels, config.base_resolution, config.max_resolution, config.appearance_channels))),
+      density_layout_(c10::make_intrusive<SharedGridLayout>(
+          MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.density_channels))),
+      appearance_layout_(c10::make_intrusive<SharedGridLayout>(
+          MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.appearance_channels))),
       lobes_(c10::make_intrusive<SharedLobes>(MakeLobes(config.lobes_theta, config.lobes_phi))) {
   density_grid_ = AddParameter("density_grid", {density_layout().n_parameters}, true);
   appearance_grid_ = AddParameter("appearance_grid", {appearance_layout().n_parameters}, true);

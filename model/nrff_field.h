@@ -34,9 +34,9 @@ class NrffField : public RadianceField {
   Shading Shade(const torch::Tensor& points, const torch::Tensor& ray_directions) const override;
 
   // The stages of Density and Shade.
-  torch::Tensor DensityFeature(const torch::Tensor& points) const;                // [n]
-  torch::Tensor DensityFromFeature(const torch::Tensor& feature) const;           // [n] sigma
-  torch::Tensor AppearanceFeature(const torch::Tensor& points) const;             // [n, 3 · levels · channels]
+  torch::Tensor DensityFeature(const torch::Tensor& points) const;       // [n]
+  torch::Tensor DensityFromFeature(const torch::Tensor& feature) const;  // [n] sigma
+  torch::Tensor AppearanceFeature(const torch::Tensor& points) const;    // [n, 3 · levels · channels]
   struct ShadingParts {
     torch::Tensor diffuse, tint, normal;  // [n, 3]
     torch::Tensor bottleneck;             // [n, bottleneck_width]

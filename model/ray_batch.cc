@@ -13,9 +13,12 @@ using torch::Tensor;
 
 double BackgroundLevel(const Scene& scene, double unknown_background) {
   switch (scene.background) {
-    case Background::kWhite: return 1;
-    case Background::kBlack: return 0;
-    case Background::kNone: break;
+    case Background::kWhite:
+      return 1;
+    case Background::kBlack:
+      return 0;
+    case Background::kNone:
+      break;
   }
   return unknown_background;
 }

@@ -120,7 +120,8 @@ SafetensorsFile::~SafetensorsFile() {
 }
 
 void SafetensorsFile::Parse() {
-  if (size_ < kLengthBytes) ThrowCorrupt(path_, "it has " + std::to_string(size_) + " bytes, fewer than the 8 of a length");
+  if (size_ < kLengthBytes)
+    ThrowCorrupt(path_, "it has " + std::to_string(size_) + " bytes, fewer than the 8 of a length");
   uint64_t header_bytes = 0;
   std::memcpy(&header_bytes, bytes_, kLengthBytes);
   if (header_bytes > kMaxHeaderBytes || header_bytes > size_ - kLengthBytes) {
@@ -146,14 +147,11 @@ void SafetensorsFile::Parse() {
       }
       continue;
     }
-    const auto dtype_name = entry.find("dtype");
-    const auto* dtype = std::find_if(std::begin(kDTypes), std::end(kDTypes), [&](const DTypeEntry& candidate) {
-      return dtype_name != entry.end() && *dtype_name == candidate.name;
-    });
+    const Json dtype_name = entry.value("dtype", Json());
+    const auto* dtype = std::find_if(std::begin(kDTypes), std::end(kDTypes),
+                                     [&](const DTypeEntry& candidate) { return dtype_name == candidate.name; });
     if (dtype == std::end(kDTypes)) {
-      ThrowCorrupt(path_, "tensor '" + name + "' has the type " +
-                              (dtype_name == entry.end() ? std::string("(none)") : dtype_name->dump()) +
-                              ", expected F32, F64, U8 or I64");
+      ThrowCorrupt(path_, "tensor '" + name + "' has the type " + dtype_name.dump() + ", expected F32, F64, U8 or I64");
     }
     Tensor tensor;
     tensor.dtype = dtype->dtype;

@@ -23,7 +23,8 @@ double MarchingStep(const TrainConfig& config, int stage, const SceneMap& map) {
 double WeightThreshold(const TrainConfig& config, double progress) {
   const double until = config.weight_threshold_moment;
   const double fraction = until > 0 ? std::min(1., progress / until) : 1.;
-  return config.weight_threshold_first * std::pow(config.weight_threshold_last / config.weight_threshold_first, fraction);
+  return config.weight_threshold_first *
+         std::pow(config.weight_threshold_last / config.weight_threshold_first, fraction);
 }
 
 double CurveMoment(int index) {

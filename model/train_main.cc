@@ -19,7 +19,9 @@ int main(int argc, char** argv) {
   auto* budget = app.add_option("--budget-seconds", request.budget_seconds, "train for so long instead")->group(group);
   budget->check(CLI::Range(1., 1e7))->excludes(steps);
   app.add_option("--seed", request.seed, "of every random number (0)")->group(group);
-  app.add_option("--device", request.device, "where to compute")->group(group)->check(CLI::IsMember({"auto", "cpu", "cuda"}));
+  app.add_option("--device", request.device, "where to compute")
+      ->group(group)
+      ->check(CLI::IsMember({"auto", "cpu", "cuda"}));
   nrff::AddVerbosity(app);
   return nrff::StageMain(app, argc, argv, [&] { nrff::RunTraining(request, nrff::GivenParams(app)); });
 }

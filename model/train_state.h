@@ -28,22 +28,22 @@ struct TrainState {
   OccupancyGrid occupancy;
   SceneMap map;
 
-  int64_t step = 0;     // also the counter of every random stream
-  int64_t n_rays = 0;   // of the next batch
-  int64_t samples = 0;  // density evaluations so far
-  double seconds = 0;   // spent in steps
-  double progress_at_reset = 0;  // when the learning rates last started anew
-  int step_stage = 0;            // index into TrainConfig::step_voxels
+  int64_t step = 0;                // also the counter of every random stream
+  int64_t n_rays = 0;              // of the next batch
+  int64_t samples = 0;             // density evaluations so far
+  double seconds = 0;              // spent in steps
+  double progress_at_reset = 0;    // when the learning rates last started anew
+  int step_stage = 0;              // index into TrainConfig::step_voxels
   int occupancy_updates = 0;       // also the counter of their random streams
   int occupancy_moments_done = 0;  // of TrainConfig::occupancy_moments
   bool shrunk = false;
-  int64_t n_skipped = 0;     // steps left out for a non-finite loss or gradient
+  int64_t n_skipped = 0;  // steps left out for a non-finite loss or gradient
   int n_skipped_in_row = 0;
-  double train_mse = -1;     // running mean; < 0: none yet
-  int evaluations = 0;       // moments of the curve that are behind
+  double train_mse = -1;  // running mean; < 0: none yet
+  int evaluations = 0;    // moments of the curve that are behind
   std::vector<CurvePoint> curve;
   double seconds_evaluating = 0;
-  int resumed = 0;           // times training went on from a checkpoint
+  int resumed = 0;  // times training went on from a checkpoint
 
   void ResetAdam();
 };

@@ -17,8 +17,8 @@ namespace {
 
 using torch::Tensor;
 
-constexpr double kMseMemory = 0.98;         // of the running mean of the batches' error
-constexpr double kLeastShrinking = 0.95;    // a box whose volume shrinks less than to this stays as it is
+constexpr double kMseMemory = 0.98;       // of the running mean of the batches' error
+constexpr double kLeastShrinking = 0.95;  // a box whose volume shrinks less than to this stays as it is
 constexpr int64_t kFewestRays = 64;
 
 std::vector<View> TrainingViews(const Scene& scene) {
@@ -144,8 +144,8 @@ void Trainer::Step() {
   const Tensor mse = MseLoss(rendered.rgb, batch.target);
   Tensor loss = mse;
   if (config.orientation_weight > 0) {
-    loss = loss + config.orientation_weight * OrientationLoss(rendered.shaded_weights, rendered.shaded_normals,
-                                                              rendered.shaded_directions);
+    loss = loss + config.orientation_weight *
+                      OrientationLoss(rendered.shaded_weights, rendered.shaded_normals, rendered.shaded_directions);
   }
   const double l1_weight = progress < config.shrink_moment ? config.density_l1_weight : config.density_l1_weight_later;
   if (l1_weight > 0) loss = loss + l1_weight * state_.field.DensityL1();
@@ -168,7 +168,8 @@ void Trainer::Step() {
   }
   if (config.target_shaded > 0) {
     // Half of the way, so that one unusual batch does not throw it off.
-    const double wanted = double(state_.n_rays) * double(config.target_shaded) / double(std::max<int64_t>(rendered.n_shaded, 1));
+    const double wanted =
+        double(state_.n_rays) * double(config.target_shaded) / double(std::max<int64_t>(rendered.n_shaded, 1));
     state_.n_rays = std::clamp(int64_t(0.5 * (double(state_.n_rays) + wanted)), kFewestRays, int64_t(config.max_rays));
   }
   state_.samples += rendered.n_samples;
@@ -196,11 +197,12 @@ std::string Trainer::Optimise(const Tensor& loss, double progress) {
   for (size_t i = 0; i < parameters.size(); ++i) {
     const Tensor gradient = parameters[i].value.grad();
     if (!gradient.defined()) continue;  // nothing was shaded
-    const AdamOptions options{.learning_rate = factor * (parameters[i].is_grid ? config.grid_rate : config.network_rate),
-                              .beta1 = config.beta1,
-                              .beta2 = config.beta2,
-                              .epsilon = config.epsilon,
-                              .lazy = parameters[i].is_grid && config.lazy_grids};
+    const AdamOptions options{
+        .learning_rate = factor * (parameters[i].is_grid ? config.grid_rate : config.network_rate),
+        .beta1 = config.beta1,
+        .beta2 = config.beta2,
+        .epsilon = config.epsilon,
+        .lazy = parameters[i].is_grid && config.lazy_grids};
     AdamStep(options, state_.adam_t, gradient.numel(), gradient.contiguous().const_data_ptr<float>(),
              parameters[i].value.mutable_data_ptr<float>(), state_.adam_m[i].mutable_data_ptr<float>(),
              state_.adam_v[i].mutable_data_ptr<float>());

@@ -90,7 +90,8 @@ void TrainToTheEnd(Trainer& trainer, const HeldOutViews& held_out, const std::st
     trainer.Step();
     ShowProgress(trainer, seconds_before, progress_before, progress);
     if (state.evaluations < kCurvePoints && trainer.Progress() >= CurveMoment(state.evaluations)) {
-      while (state.evaluations < kCurvePoints && trainer.Progress() >= CurveMoment(state.evaluations)) ++state.evaluations;
+      while (state.evaluations < kCurvePoints && trainer.Progress() >= CurveMoment(state.evaluations))
+        ++state.evaluations;
       if (!held_out.empty()) Evaluate(held_out, trainer);
     }
     if (state.seconds - seconds_at_checkpoint > kSecondsPerCheckpoint) {

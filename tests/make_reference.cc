@@ -38,7 +38,7 @@ class ReferenceWriter {
   void Write(const std::filesystem::path& path, const std::map<std::string, std::string>& metadata) const {
     std::vector<TensorToWrite> tensors;
     for (const auto& [name, value] : values_) {
-      const DType type = value.scalar_type() == torch::kDouble ? DType::kF64
+      const DType type = value.scalar_type() == torch::kDouble  ? DType::kF64
                          : value.scalar_type() == torch::kFloat ? DType::kF32
                                                                 : DType::kU8;
       tensors.push_back({name, type, value.sizes().vec(), value.const_data_ptr()});
@@ -50,11 +50,19 @@ class ReferenceWriter {
   std::map<std::string, Tensor> values_;
 };
 
-const std::map<std::string, std::string> kMetadata = {
-    {"levels", "2"},        {"base_resolution", "4"}, {"max_resolution", "6"},     {"density_shift", "-4"},
-    {"distance_scale", "25"}, {"near", "0.5"},          {"far", "6.0"},              {"weight_threshold", "1e-3"},
-    {"background", "white"},  {"lr_grid", "0.02"},      {"lr_mlp", "0.001"},         {"betas", "0.9,0.99"},
-    {"produced_by", "tests/make_reference.cc"}};
+const std::map<std::string, std::string> kMetadata = {{"levels", "2"},
+                                                      {"base_resolution", "4"},
+                                                      {"max_resolution", "6"},
+                                                      {"density_shift", "-4"},
+                                                      {"distance_scale", "25"},
+                                                      {"near", "0.5"},
+                                                      {"far", "6.0"},
+                                                      {"weight_threshold", "1e-3"},
+                                                      {"background", "white"},
+                                                      {"lr_grid", "0.02"},
+                                                      {"lr_mlp", "0.001"},
+                                                      {"betas", "0.9,0.99"},
+                                                      {"produced_by", "tests/make_reference.cc"}};
 
 FieldConfig SmallConfig() {
   FieldConfig config;
@@ -81,7 +89,8 @@ void AddInputs(ReferenceWriter& out) {
     // Grids large enough that the field has both empty and opaque places.
     values.push_back(parameter.is_grid ? Draw(stream++, parameter.value.sizes().vec(), -1.2, 1.2) : parameter.value);
   }
-  ForEachPart(field, values, [&](const std::string& name, const Tensor& part) { out.Add("param/" + name, part, torch::kFloat); });
+  ForEachPart(field, values,
+              [&](const std::string& name, const Tensor& part) { out.Add("param/" + name, part, torch::kFloat); });
 
   Tensor points = Draw(1, {24, 3}, -1, 1);
   for (int k = 0; k < 3; ++k) {  // corners and an edge
@@ -122,7 +131,8 @@ void AddResults(const SafetensorsFile& file, ReferenceWriter& out) {
   out.Add("encoding/density", model->DensityOverScale(density));
   out.Add("encoding/appearance_feature", appearance);
   ((density * ReadTensor(file, "encoding/upstream_density_feature")).sum() +
-   (appearance * ReadTensor(file, "encoding/upstream_appearance_feature")).sum()).backward();
+   (appearance * ReadTensor(file, "encoding/upstream_appearance_feature")).sum())
+      .backward();
   for (const auto& [name, gradient] : model->Gradients()) {
     if (gradient.defined()) out.Add("encoding/grad/" + name, gradient, torch::kFloat);
   }

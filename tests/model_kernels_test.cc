@@ -107,7 +107,8 @@ TEST_P(FeatureGrid, ReproducesLinearFactorsExactlyAndHoldsTheirEndsOutside) {
     }
   }
   std::vector<double> points = Uniforms(3 * 50, -1, 1, 1);
-  for (const double edge : {-1., 1., -0.5, 0., 0.5, 1.7, -3., 1e30, -1e30}) points.insert(points.end(), {edge, -edge, edge});
+  for (const double edge : {-1., 1., -0.5, 0., 0.5, 1.7, -3., 1e30, -1e30})
+    points.insert(points.end(), {edge, -edge, edge});
   const std::vector<double> features = Concat(layout_, parameters, points), sums = Sum(layout_, parameters, points);
   for (size_t i = 0; i < points.size() / 3; ++i) {
     double sum = 0;
@@ -116,7 +117,8 @@ TEST_P(FeatureGrid, ReproducesLinearFactorsExactlyAndHoldsTheirEndsOutside) {
         const auto& product = kGridProducts[p];
         const auto at = [&](int axis) { return std::clamp(points[3 * i + axis], -1., 1.); };
         for (int c = 0; c < n_channels; ++c) {
-          const double expected = plane(l, p, c, at(product.column_axis), at(product.row_axis)) * line(l, p, c, at(product.line_axis));
+          const double expected =
+              plane(l, p, c, at(product.column_axis), at(product.row_axis)) * line(l, p, c, at(product.line_axis));
           EXPECT_NEAR(features[(i * 9 + l * 3 + p) * n_channels + c], expected, 1e-13);
           sum += expected;
         }
@@ -129,7 +131,8 @@ TEST_P(FeatureGrid, ReproducesLinearFactorsExactlyAndHoldsTheirEndsOutside) {
 // Features are quadratic in the parameters, so central differences are exact but for rounding.
 TEST_P(FeatureGrid, BackwardIsTheAdjointOfTheDerivative) {
   const auto points = Uniforms(3 * 300, -1.1, 1.1, 2);
-  const auto parameters = Uniforms(layout_.n_parameters, -1, 1, 3), direction = Uniforms(layout_.n_parameters, -1, 1, 4);
+  const auto parameters = Uniforms(layout_.n_parameters, -1, 1, 3),
+             direction = Uniforms(layout_.n_parameters, -1, 1, 4);
   const auto upstream = Uniforms(300 * layout_.n_features(), -1, 1, 5), upstream_sum = Uniforms(300, -1, 1, 6);
 
   std::vector<double> gradient(parameters.size());
@@ -203,7 +206,8 @@ double HemisphereIntegral(const Lobes& lobes, int k, double lambda, double mu) {
     }
   }
   const int n = kSteps * kSteps;
-  std::vector<double> raw(size_t(n) * lobes.size() * kLobeParameters), encoding(size_t(n) * lobes.size() * kLobeAmplitudes);
+  std::vector<double> raw(size_t(n) * lobes.size() * kLobeParameters),
+      encoding(size_t(n) * lobes.size() * kLobeAmplitudes);
   for (int i = 0; i < n; ++i) {
     double* lobe = &raw[(size_t(i) * lobes.size() + k) * kLobeParameters];
     lobe[0] = 1;
@@ -290,8 +294,10 @@ TEST(Ree, FloatAgreesWithDouble) {
   std::vector<float> encoding_f(upstream.size()), d_directions_f(in.directions.size()), d_raw_f(in.raw.size());
   ReeForward(in.lobes, in.directions.data(), in.raw.data(), ReeInput::kCount, encoding.data());
   ReeForward(in.lobes, directions.data(), raw.data(), ReeInput::kCount, encoding_f.data());
-  ReeBackward(in.lobes, in.directions.data(), in.raw.data(), ReeInput::kCount, upstream.data(), d_directions.data(), d_raw.data());
-  ReeBackward(in.lobes, directions.data(), raw.data(), ReeInput::kCount, upstream_f.data(), d_directions_f.data(), d_raw_f.data());
+  ReeBackward(in.lobes, in.directions.data(), in.raw.data(), ReeInput::kCount, upstream.data(), d_directions.data(),
+              d_raw.data());
+  ReeBackward(in.lobes, directions.data(), raw.data(), ReeInput::kCount, upstream_f.data(), d_directions_f.data(),
+              d_raw_f.data());
   for (size_t i = 0; i < encoding.size(); ++i) EXPECT_NEAR(encoding_f[i], encoding[i], 3e-6);
   for (size_t i = 0; i < d_raw.size(); ++i) EXPECT_NEAR(d_raw_f[i], d_raw[i], 3e-6);
   for (size_t i = 0; i < d_directions.size(); ++i) EXPECT_NEAR(d_directions_f[i], d_directions[i], 1e-4);

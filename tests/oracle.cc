@@ -24,15 +24,19 @@ Tensor Oracle::Products(const std::string& field, int level, const Tensor& point
   const Tensor x = points.select(1, 0), y = points.select(1, 1), z = points.select(1, 2), nil = at::zeros_like(x);
   const auto sample = [&](const char* name, const Tensor& column, const Tensor& row) {
     const Tensor grid = at::stack({column, row}, 1).view({1, -1, 1, 2});
-    return at::grid_sampler_2d(At(prefix + name), grid, kBilinear, kZeros, /*align_corners=*/true).squeeze(3).squeeze(0);
+    return at::grid_sampler_2d(At(prefix + name), grid, kBilinear, kZeros, /*align_corners=*/true)
+        .squeeze(3)
+        .squeeze(0);
   };
-  return at::stack({sample("plane_yz", y, z) * sample("line_x", nil, x), sample("plane_xz", x, z) * sample("line_y", nil, y),
+  return at::stack({sample("plane_yz", y, z) * sample("line_x", nil, x),
+                    sample("plane_xz", x, z) * sample("line_y", nil, y),
                     sample("plane_xy", x, y) * sample("line_z", nil, z)});
 }
 
 Tensor Oracle::DensityFeature(const Tensor& points) const {
   Tensor sum = at::zeros({points.size(0)}, points.options());
-  for (int level = 0; level < settings_.levels; ++level) sum = sum + Products("density", level, points).flatten(0, 1).sum(0);
+  for (int level = 0; level < settings_.levels; ++level)
+    sum = sum + Products("density", level, points).flatten(0, 1).sum(0);
   return sum;
 }
 
@@ -75,15 +79,17 @@ Oracle::Shading Oracle::Shade(const Tensor& appearance_feature, const Tensor& vi
   s.bottleneck = spatial.slice(1, 9, 9 + n_bottleneck);
   s.asg_feature = spatial.slice(1, 9 + n_bottleneck);
 
-  const Tensor raw = (at::matmul(s.asg_feature.reshape({n, n_theta, row_width}), row_weight.t()) +
-                      At("rendering_net.asg_mlp.0.bias")).view({n, n_theta, n_phi, 4});
+  const Tensor raw =
+      (at::matmul(s.asg_feature.reshape({n, n_theta, row_width}), row_weight.t()) + At("rendering_net.asg_mlp.0.bias"))
+          .view({n, n_theta, n_phi, 4});
   s.asg_a = raw.slice(3, 0, 2);
   s.asg_lambda_raw = raw.slice(3, 2, 3);
   s.asg_mu_raw = raw.slice(3, 3, 4);
 
   const auto options = appearance_feature.options();
   const std::vector<Tensor> angles = at::meshgrid(
-      {at::linspace(0, std::numbers::pi, n_theta, options), at::linspace(0, 2 * std::numbers::pi, n_phi, options)}, "ij");
+      {at::linspace(0, std::numbers::pi, n_theta, options), at::linspace(0, 2 * std::numbers::pi, n_phi, options)},
+      "ij");
   const Tensor &theta = angles[0], &phi = angles[1];
   s.lobe_axis = at::stack({theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()}, 2);
   s.lobe_axis_lambda = at::stack({theta.cos() * phi.cos(), theta.cos() * phi.sin(), -theta.sin()}, 2);

@@ -1,5 +1,5 @@
-// The NRFF model as the authors' code computes it, in plain libtorch operations with autograd, in double: independent of
-// the kernels and of NrffField. Parameters go by their names in the authors' code.
+// The NRFF model as the authors' code computes it, in plain libtorch operations with autograd, in double: independent
+// of the kernels and of NrffField. Parameters go by their names in the authors' code.
 #pragma once
 
 #include <torch/types.h>

@@ -16,10 +16,14 @@ Tensor ReadTensor(const SafetensorsFile& file, const std::string& name) {
     return at::from_blob(const_cast<decltype(scalar)*>(values.data()), stored.shape, type).clone();
   };
   switch (stored.dtype) {
-    case DType::kF32: return read(float{}, torch::kFloat).to(torch::kDouble);
-    case DType::kF64: return read(double{}, torch::kDouble);
-    case DType::kI64: return read(int64_t{}, torch::kLong).to(torch::kDouble);
-    case DType::kU8: break;
+    case DType::kF32:
+      return read(float{}, torch::kFloat).to(torch::kDouble);
+    case DType::kF64:
+      return read(double{}, torch::kDouble);
+    case DType::kI64:
+      return read(int64_t{}, torch::kLong).to(torch::kDouble);
+    case DType::kU8:
+      break;
   }
   return read(uint8_t{}, torch::kByte).to(torch::kBool);
 }
@@ -77,7 +81,8 @@ std::string AuthorsName(const std::string& name) {
   const size_t first = name.find('.'), last = name.rfind('.');
   const std::string network = name.substr(0, first), what = name.substr(last);
   if (network == "lobes") return "rendering_net.asg_mlp.0" + what;
-  return "rendering_net." + network + "." + std::to_string(2 * std::stoi(name.substr(first + 1, last - first - 1))) + what;
+  return "rendering_net." + network + "." + std::to_string(2 * std::stoi(name.substr(first + 1, last - first - 1))) +
+         what;
 }
 
 }  // namespace
@@ -96,7 +101,8 @@ void ForEachPart(const NrffField& field, const std::vector<Tensor>& values,
     for (size_t l = 0; l < layout.levels.size(); ++l) {
       const GridLayout::Level& level = layout.levels[l];
       const int64_t n = level.resolution;
-      const std::string prefix = std::string(density ? "density" : "appearance") + "_field.tensors." + std::to_string(l) + ".";
+      const std::string prefix =
+          std::string(density ? "density" : "appearance") + "_field.tensors." + std::to_string(l) + ".";
       for (int p = 0; p < 3; ++p) {
         const Tensor plane = values[i].narrow(0, level.plane_offsets[p], n * n * n_channels).view({n, n, n_channels});
         visit(prefix + kGridProducts[p].plane_name, plane.permute({2, 0, 1}).unsqueeze(0));

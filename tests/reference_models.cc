@@ -31,17 +31,26 @@ class OracleModel : public ReferenceModel {
 
   std::map<std::string, Tensor> Shade(const Tensor& feature, const Tensor& view_direction) override {
     const Oracle::Shading s = oracle_.Shade(feature, view_direction);
-    return {{"diffuse", s.diffuse}, {"tint", s.tint}, {"normal", s.normal}, {"bottleneck", s.bottleneck},
-            {"asg_feature", s.asg_feature}, {"asg_a", s.asg_a}, {"asg_lambda_raw", s.asg_lambda_raw},
-            {"asg_mu_raw", s.asg_mu_raw}, {"reflected_direction", s.reflected_direction}, {"encoding", s.encoding},
-            {"rgb", s.rgb}, {"lobe_axis", s.lobe_axis}, {"lobe_axis_lambda", s.lobe_axis_lambda},
+    return {{"diffuse", s.diffuse},
+            {"tint", s.tint},
+            {"normal", s.normal},
+            {"bottleneck", s.bottleneck},
+            {"asg_feature", s.asg_feature},
+            {"asg_a", s.asg_a},
+            {"asg_lambda_raw", s.asg_lambda_raw},
+            {"asg_mu_raw", s.asg_mu_raw},
+            {"reflected_direction", s.reflected_direction},
+            {"encoding", s.encoding},
+            {"rgb", s.rgb},
+            {"lobe_axis", s.lobe_axis},
+            {"lobe_axis_lambda", s.lobe_axis_lambda},
             {"lobe_axis_mu", s.lobe_axis_mu}};
   }
 
   RenderedReference Render(const RenderInput& in) override {
     const Oracle::Rendering r = oracle_.Render(in.rays, in.t, in.inside, in.aabb);
-    return {r.density, r.weight, r.background_weight, r.rgb, r.depth,
-            {(r.rgb - in.target).square().mean(), r.orientation_loss, oracle_.DensityL1()}};
+    return {r.density, r.weight, r.background_weight,
+            r.rgb,     r.depth,  {(r.rgb - in.target).square().mean(), r.orientation_loss, oracle_.DensityL1()}};
   }
 
   std::map<std::string, Tensor> Gradients() override {
@@ -98,10 +107,17 @@ class FieldModel : public ReferenceModel {
     const NrffField::ShadingParts s = field_.ShadeFeature(feature.to(field_.type()), view_direction);
     const FieldConfig& config = field_.config();
     const Tensor raw = s.lobe_parameters.view({feature.size(0), config.lobes_theta, config.lobes_phi, kLobeParameters});
-    return {{"diffuse", s.diffuse}, {"tint", s.tint}, {"normal", s.normal}, {"bottleneck", s.bottleneck},
-            {"asg_feature", s.lobe_features}, {"asg_a", raw.slice(3, 0, 2)}, {"asg_lambda_raw", raw.slice(3, 2, 3)},
-            {"asg_mu_raw", raw.slice(3, 3, 4)}, {"reflected_direction", s.reflected_direction},
-            {"encoding", s.encoding}, {"rgb", s.rgb}};
+    return {{"diffuse", s.diffuse},
+            {"tint", s.tint},
+            {"normal", s.normal},
+            {"bottleneck", s.bottleneck},
+            {"asg_feature", s.lobe_features},
+            {"asg_a", raw.slice(3, 0, 2)},
+            {"asg_lambda_raw", raw.slice(3, 2, 3)},
+            {"asg_mu_raw", raw.slice(3, 3, 4)},
+            {"reflected_direction", s.reflected_direction},
+            {"encoding", s.encoding},
+            {"rgb", s.rgb}};
   }
 
   // The renderer on the file's samples, packed: those inside the box.
@@ -162,7 +178,9 @@ class FieldModel : public ReferenceModel {
     for (size_t i = 0; i < m_.size(); ++i) {
       const NrffField::Parameter& parameter = field_.parameters()[i];
       const AdamOptions options{.learning_rate = parameter.is_grid ? grid_rate : network_rate,
-                                .beta1 = kBeta1, .beta2 = kBeta2, .epsilon = kEpsilon};
+                                .beta1 = kBeta1,
+                                .beta2 = kBeta2,
+                                .epsilon = kEpsilon};
       const Tensor gradient = parameter.value.grad().contiguous();
       nrff::AdamStep(options, t, gradient.numel(), gradient.const_data_ptr<Scalar>(),
                      parameter.value.mutable_data_ptr<Scalar>(), m_[i].mutable_data_ptr<Scalar>(),
@@ -179,8 +197,12 @@ class FieldModel : public ReferenceModel {
 
 RenderInput ReadRenderInput(const SafetensorsFile& file) {
   const OracleSettings settings = ReadOracleSettings(file);
-  return {ReadTensor(file, "render/rays"), ReadTensor(file, "render/t"), ReadTensor(file, "render/inside"),
-          ReadTensor(file, "render/aabb"), ReadTensor(file, "render/target"), settings.weight_threshold,
+  return {ReadTensor(file, "render/rays"),
+          ReadTensor(file, "render/t"),
+          ReadTensor(file, "render/inside"),
+          ReadTensor(file, "render/aabb"),
+          ReadTensor(file, "render/target"),
+          settings.weight_threshold,
           settings.background};
 }
 

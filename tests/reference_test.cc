@@ -1,10 +1,10 @@
-// The model against values of the authors' code (reference in double): encodings, shading, weights, colours, losses, all
-// gradients, ten Adam steps.
+// The model against values of the authors' code (reference in double): encodings, shading, weights, colours, losses,
+// all gradients, ten Adam steps.
 //
 // Files have one form: param/… under the authors' names; encoding/… (features at points, gradients of Σ upstream ·
-// feature with respect to the grids); shading/… (all parts, from view_direction and appearance_feature); render/… (rays,
-// sample positions, weights, colours); loss/…; grad/… of the total loss MSE + 0.3 · orientation + 8e-5 · L1; adam/loss
-// before each of ten steps. Parameters and gradients are F32, the rest F64; settings are in the metadata.
+// feature with respect to the grids); shading/… (all parts, from view_direction and appearance_feature); render/…
+// (rays, sample positions, weights, colours); loss/…; grad/… of the total loss MSE + 0.3 · orientation + 8e-5 · L1;
+// adam/loss before each of ten steps. Parameters and gradients are F32, the rest F64; settings are in the metadata.
 //
 //   authors   NRFF_REFERENCE, or ../shared/reference/nrff_reference.safetensors beside the source tree
 //   own       tests/data/nrff_reference_small.safetensors, written by tests/make_reference.cc from the oracle
@@ -125,7 +125,8 @@ TEST_P(ReferenceTest, GradientsOfTheTotalLoss) {
   const std::map<std::string, Tensor> gradients = model_->Gradients();
   const std::map<std::string, Tensor> expected = ReadTensors(*file_, "grad/");
   EXPECT_EQ(gradients.size(), expected.size());
-  for (const auto& [name, value] : expected) ExpectClose("grad/" + name, gradients.at(name), value, tolerance().gradient);
+  for (const auto& [name, value] : expected)
+    ExpectClose("grad/" + name, gradients.at(name), value, tolerance().gradient);
 }
 
 TEST_P(ReferenceTest, TenAdamSteps) {

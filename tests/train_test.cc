@@ -246,7 +246,8 @@ TEST_F(TrainTest, ADamagedOrForeignCheckpointIsRefused) {
   EXPECT_THROW(LoadCheckpoint(out.path(), "those", trainer.state()), Error);
   const std::string bytes = ReadFile(out.path() / kCheckpointFile);
   for (const double part : {0., 0.1, 0.5, 0.999}) {
-    std::ofstream(out.path() / kCheckpointFile, std::ios::binary) << bytes.substr(0, size_t(part * double(bytes.size())));
+    std::ofstream(out.path() / kCheckpointFile, std::ios::binary)
+        << bytes.substr(0, size_t(part * double(bytes.size())));
     EXPECT_THROW(LoadCheckpoint(out.path(), "these", trainer.state()), Error) << part;
   }
 }

@@ -28,8 +28,8 @@ struct Coefficients {
 };
 
 template <typename Scalar>
-NRFF_INLINE void Update(const Coefficients<Scalar>& c, int64_t begin, int64_t end, const Scalar* g, Scalar* p, Scalar* m,
-                        Scalar* v) {
+NRFF_INLINE void Update(const Coefficients<Scalar>& c, int64_t begin, int64_t end, const Scalar* g, Scalar* p,
+                        Scalar* m, Scalar* v) {
   for (int64_t block = begin; block < end; block += kLazyBlock) {
     const int64_t block_end = std::min(end, block + kLazyBlock);
     if (c.lazy) {
@@ -54,7 +54,8 @@ void UpdateBlock(const Coefficients<double>& c, int64_t begin, int64_t end, cons
   Update(c, begin, end, g, p, m, v);
 }
 
-// The exponent's bits are all set in infinities and NaN alone; integers, since a compiler may not reorder sums of floats.
+// The exponent's bits are all set in infinities and NaN alone; integers, since a compiler may not reorder sums of
+// floats.
 template <typename Bits, typename Scalar>
 NRFF_INLINE bool Finite(const Scalar* values, int64_t begin, int64_t end) {
   constexpr Bits kInfinity = std::bit_cast<Bits>(std::numeric_limits<Scalar>::infinity());

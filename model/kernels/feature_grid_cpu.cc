@@ -9,8 +9,7 @@
 namespace nrff {
 
 GridLayout MakeGridLayout(int n_levels, int base_resolution, int max_resolution, int n_channels) {
-  if (n_levels < 1 || base_resolution < 2 || max_resolution < base_resolution ||
-      (n_channels != 2 && n_channels != 4)) {
+  if (n_levels < 1 || base_resolution < 2 || max_resolution < base_resolution || (n_channels != 2 && n_channels != 4)) {
     throw std::invalid_argument("grid layout: need levels >= 1, 2 <= base <= max resolution, 2 or 4 channels");
   }
   GridLayout layout;
@@ -95,11 +94,11 @@ NRFF_INLINE Position<Scalar> Locate(Scalar coordinate, int resolution) {
 // One plane ⊙ line product at one point: the interpolated values, and where they came from.
 template <typename Scalar, int C>
 struct ProductAt {
-  Position<Scalar> row, line;
   Pair<Scalar, C> column_weights, line_weights;
+  Node<Scalar, C> plane_value, line_value;
+  Position<Scalar> row, line;
   int64_t plane_index, line_index;
   int64_t row_stride;
-  Node<Scalar, C> plane_value, line_value;
 
   NRFF_INLINE void Read(const GridProduct& product, const GridLayout::Level& level, int p, const Scalar* parameters,
                         const Scalar* point) {
@@ -196,33 +195,43 @@ NRFF_INLINE void SumBackward(const GridLayout& layout, int l, int p, const Scala
 }
 
 // The units of work of one thread, per scalar type because multiversioned functions cannot be templates.
+// NOLINTBEGIN(bugprone-macro-parentheses): a type cannot stand in parentheses
 #define NRFF_GRID_KERNELS(Scalar)                                                                                     \
   NRFF_MULTIVERSION void ConcatForwardBlock(const GridLayout& layout, const Scalar* parameters, const Scalar* points, \
                                             int64_t begin, int64_t end, Scalar* features) {                           \
-    if (layout.n_channels == 2) ConcatForward<Scalar, 2>(layout, parameters, points, begin, end, features);           \
-    else ConcatForward<Scalar, 4>(layout, parameters, points, begin, end, features);                                  \
+    if (layout.n_channels == 2)                                                                                       \
+      ConcatForward<Scalar, 2>(layout, parameters, points, begin, end, features);                                     \
+    else                                                                                                              \
+      ConcatForward<Scalar, 4>(layout, parameters, points, begin, end, features);                                     \
   }                                                                                                                   \
   NRFF_MULTIVERSION void SumForwardBlock(const GridLayout& layout, const Scalar* parameters, const Scalar* points,    \
                                          int64_t begin, int64_t end, Scalar* feature) {                               \
-    if (layout.n_channels == 2) SumForward<Scalar, 2>(layout, parameters, points, begin, end, feature);               \
-    else SumForward<Scalar, 4>(layout, parameters, points, begin, end, feature);                                      \
+    if (layout.n_channels == 2)                                                                                       \
+      SumForward<Scalar, 2>(layout, parameters, points, begin, end, feature);                                         \
+    else                                                                                                              \
+      SumForward<Scalar, 4>(layout, parameters, points, begin, end, feature);                                         \
   }                                                                                                                   \
   NRFF_MULTIVERSION void ConcatBackwardProduct(const GridLayout& layout, int l, int p, const Scalar* parameters,      \
                                                const Scalar* points, int64_t n, const Scalar* d_features,             \
                                                Scalar* d_parameters) {                                                \
-    if (layout.n_channels == 2) ConcatBackward<Scalar, 2>(layout, l, p, parameters, points, n, d_features, d_parameters); \
-    else ConcatBackward<Scalar, 4>(layout, l, p, parameters, points, n, d_features, d_parameters);                    \
+    if (layout.n_channels == 2)                                                                                       \
+      ConcatBackward<Scalar, 2>(layout, l, p, parameters, points, n, d_features, d_parameters);                       \
+    else                                                                                                              \
+      ConcatBackward<Scalar, 4>(layout, l, p, parameters, points, n, d_features, d_parameters);                       \
   }                                                                                                                   \
   NRFF_MULTIVERSION void SumBackwardProduct(const GridLayout& layout, int l, int p, const Scalar* parameters,         \
                                             const Scalar* points, int64_t n, const Scalar* d_feature,                 \
                                             Scalar* d_parameters) {                                                   \
-    if (layout.n_channels == 2) SumBackward<Scalar, 2>(layout, l, p, parameters, points, n, d_feature, d_parameters); \
-    else SumBackward<Scalar, 4>(layout, l, p, parameters, points, n, d_feature, d_parameters);                        \
+    if (layout.n_channels == 2)                                                                                       \
+      SumBackward<Scalar, 2>(layout, l, p, parameters, points, n, d_feature, d_parameters);                           \
+    else                                                                                                              \
+      SumBackward<Scalar, 4>(layout, l, p, parameters, points, n, d_feature, d_parameters);                           \
   }
 
 NRFF_GRID_KERNELS(float)
 NRFF_GRID_KERNELS(double)
 #undef NRFF_GRID_KERNELS
+// NOLINTEND(bugprone-macro-parentheses)
 
 // Calls work(begin, end) for blocks of points, in parallel.
 template <typename Work>
@@ -246,9 +255,8 @@ void ForEachProduct(const GridLayout& layout, const Work& work) {
 template <typename Scalar>
 void GridConcatForward(const GridLayout& layout, const Scalar* parameters, const Scalar* points, int64_t n,
                        Scalar* features) {
-  ForEachBlock(n, [&](int64_t begin, int64_t end) {
-    ConcatForwardBlock(layout, parameters, points, begin, end, features);
-  });
+  ForEachBlock(
+      n, [&](int64_t begin, int64_t end) { ConcatForwardBlock(layout, parameters, points, begin, end, features); });
 }
 
 template <typename Scalar>
@@ -262,26 +270,24 @@ void GridConcatBackward(const GridLayout& layout, const Scalar* parameters, cons
 template <typename Scalar>
 void GridSumForward(const GridLayout& layout, const Scalar* parameters, const Scalar* points, int64_t n,
                     Scalar* feature) {
-  ForEachBlock(n, [&](int64_t begin, int64_t end) {
-    SumForwardBlock(layout, parameters, points, begin, end, feature);
-  });
+  ForEachBlock(n,
+               [&](int64_t begin, int64_t end) { SumForwardBlock(layout, parameters, points, begin, end, feature); });
 }
 
 template <typename Scalar>
 void GridSumBackward(const GridLayout& layout, const Scalar* parameters, const Scalar* points, int64_t n,
                      const Scalar* d_feature, Scalar* d_parameters) {
-  ForEachProduct(layout, [&](int l, int p) {
-    SumBackwardProduct(layout, l, p, parameters, points, n, d_feature, d_parameters);
-  });
+  ForEachProduct(
+      layout, [&](int l, int p) { SumBackwardProduct(layout, l, p, parameters, points, n, d_feature, d_parameters); });
 }
 
-#define NRFF_INSTANTIATE(Scalar)                                                                                       \
-  template void GridConcatForward(const GridLayout&, const Scalar*, const Scalar*, int64_t, Scalar*);                  \
-  template void GridConcatBackward(const GridLayout&, const Scalar*, const Scalar*, int64_t, const Scalar*, Scalar*);  \
-  template void GridSumForward(const GridLayout&, const Scalar*, const Scalar*, int64_t, Scalar*);                     \
-  template void GridSumBackward(const GridLayout&, const Scalar*, const Scalar*, int64_t, const Scalar*, Scalar*);
-NRFF_INSTANTIATE(float)
-NRFF_INSTANTIATE(double)
-#undef NRFF_INSTANTIATE
+template void GridConcatForward(const GridLayout&, const float*, const float*, int64_t, float*);
+template void GridConcatForward(const GridLayout&, const double*, const double*, int64_t, double*);
+template void GridConcatBackward(const GridLayout&, const float*, const float*, int64_t, const float*, float*);
+template void GridConcatBackward(const GridLayout&, const double*, const double*, int64_t, const double*, double*);
+template void GridSumForward(const GridLayout&, const float*, const float*, int64_t, float*);
+template void GridSumForward(const GridLayout&, const double*, const double*, int64_t, double*);
+template void GridSumBackward(const GridLayout&, const float*, const float*, int64_t, const float*, float*);
+template void GridSumBackward(const GridLayout&, const double*, const double*, int64_t, const double*, double*);
 
 }  // namespace nrff

@@ -16,8 +16,8 @@
 
 namespace nrff {
 
-inline constexpr int kLobeAmplitudes = 2;                     // channels of a
-inline constexpr int kLobeParameters = kLobeAmplitudes + 2;   // a0, a1, λ_raw, μ_raw
+inline constexpr int kLobeAmplitudes = 2;                    // channels of a
+inline constexpr int kLobeParameters = kLobeAmplitudes + 2;  // a0, a1, λ_raw, μ_raw
 inline constexpr int kMaxLobes = 512;
 
 struct Lobes {
@@ -31,8 +31,8 @@ struct Lobes {
 // Throws std::invalid_argument unless both counts are ≥ 2 and their product ≤ kMaxLobes.
 Lobes MakeLobes(int n_theta, int n_phi);
 
-// directions [n, 3] reflected, unit; raw [n, lobes, kLobeParameters]; encoding [n, lobes, kLobeAmplitudes], overwritten.
-// Scalar is float (exp and log to 2 ulp) or double.
+// directions [n, 3] reflected, unit; raw [n, lobes, kLobeParameters]; encoding [n, lobes, kLobeAmplitudes],
+// overwritten. Scalar is float (exp and log to 2 ulp) or double.
 template <typename Scalar>
 void ReeForward(const Lobes& lobes, const Scalar* directions, const Scalar* raw, int64_t n, Scalar* encoding);
 
