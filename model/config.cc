@@ -58,7 +58,7 @@ FieldConfig FieldConfigFromJson(const Json& json, const std::string& where) {
 
 namespace {
 
-// What two cores train in two to three minutes; tuned on training views that were held out.
+// What two cores train in a few minutes; tuned on training views that were held out.
 Preset SmallPreset(bool unbounded) {
   Preset preset;
   FieldConfig& field = preset.field;

@@ -2,7 +2,7 @@
 //
 // Presets:
 //   paper   full size and schedule of the authors' code [Han23]: hours on a CPU
-//   small   what two CPU cores train in two to three minutes; the default
+//   small   what two CPU cores train in a few minutes; the default
 //   tiny    seconds; for tests and the example capture
 #pragma once
 

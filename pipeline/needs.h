@@ -41,8 +41,8 @@ Decision Contraction(bool box_given, bool has_alpha, std::optional<double> backg
 Decision ExhaustiveMatching(int n_images, bool ordered);
 
 // The finest grid resolution that so many training views can settle: finer cells are seen by too few of them and learn
-// each view by heart. Measured on training views held out: with nine (sceaux_castle) 64 shows them 2 dB better than 256,
-// with 38 (fox) 256 is best.
+// each view by heart. Measured on one training view held out, after 500 steps: with the other eight of sceaux_castle, 64
+// shows it at 18.3 dB, 128 at 17.9, 256 at 16.4. The bounds between are not measured.
 int FinestResolution(int n_train_views);
 
 // Grid levels finer than `wanted` are left out where the preset's `finest` is beyond it.
