@@ -36,7 +36,7 @@ struct Score {
 };
 
 // What alpha is composited on. Where a scene names nothing, black: what a pixel without a colour shows.
-const char* BackgroundName(Background background) { return background == Background::kWhite ? "white" : "black"; }
+Background BehindAlpha(Background background) { return background == Background::kNone ? Background::kBlack : background; }
 
 // The view's pixels as RGB; RGBA (straight alpha) over the background, rounded.
 Rgb8Image Composited(const View& view, const uint8_t* pixels, Background background) {
@@ -47,7 +47,7 @@ Rgb8Image Composited(const View& view, const uint8_t* pixels, Background backgro
     return image;
   }
   image.rgb.resize(3 * n_pixels);
-  const int behind = background == Background::kWhite ? 255 : 0;
+  const int behind = BehindAlpha(background) == Background::kWhite ? 255 : 0;
   for (size_t i = 0; i < n_pixels; ++i) {
     const int alpha = pixels[4 * i + 3];
     for (size_t c = 0; c < 3; ++c) {
@@ -165,7 +165,7 @@ Json Protocol(const Scene& scene, const std::vector<int>& held_out, const std::s
   }
   return {{"range", {0, 1}},
           {"quantised", true},
-          {"background", has_alpha ? BackgroundName(scene.background) : "none"},
+          {"background", BackgroundName(has_alpha ? BehindAlpha(scene.background) : Background::kNone)},
           {"ssim",
            {{"window", kSsimWindow},
             {"weights", "Gaussian"},

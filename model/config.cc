@@ -1,6 +1,8 @@
 #include "model/config.h"
 
+#include <algorithm>
 #include <cmath>
+#include <sstream>
 #include <stdexcept>
 
 #include "model/kernels/feature_grid.h"
@@ -30,8 +32,8 @@ NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(FieldConfig, levels, base_resolution, max_res
                                    lobe_row_width, directional_layers, directional_width, activation)
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(TrainConfig, steps, rays, max_rays, target_shaded, grid_rate, network_rate,
                                    final_rate, beta1, beta2, epsilon, lazy_grids, reset_with_step, orientation_weight,
-                                   density_l1_weight, density_l1_weight_later, sparsity_weight, step_voxels,
-                                   step_moments, step_ratio, occupancy_resolution, occupancy_moments,
+                                   density_l1_weight, density_l1_weight_later, sparsity_weight, depth_weight,
+                                   depth_rays, step_voxels, step_moments, step_ratio, occupancy_resolution, occupancy_moments,
                                    occupancy_interval, occupancy_cells, occupancy_threshold, occupancy_decay,
                                    occupancy_dilate, occupancy_min_views, shrink_moment, weight_threshold_first,
                                    weight_threshold_last, weight_threshold_moment, unknown_background)
@@ -39,20 +41,76 @@ NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(TrainConfig, steps, rays, max_rays, target_sh
 Json ToJson(const FieldConfig& config) { return config; }
 Json ToJson(const TrainConfig& config) { return config; }
 
+namespace {
+
+// Throws std::invalid_argument naming what cannot be.
+void CheckConfig(const FieldConfig& config) {
+  MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.density_channels);
+  MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.appearance_channels);
+  MakeLobes(config.lobes_theta, config.lobes_phi);
+  constexpr int kMost = 1 << 14;  // beyond any network that fits in memory
+  for (const int size : {config.spatial_layers, config.spatial_width, config.bottleneck_width, config.lobe_row_width,
+                         config.directional_layers, config.directional_width, config.max_resolution, config.levels}) {
+    if (size < 1 || size > kMost) throw std::invalid_argument("size " + std::to_string(size));
+  }
+}
+
+void CheckConfig(const TrainConfig& config) {
+  const auto check = [](bool holds, const char* what) {
+    if (!holds) throw std::invalid_argument(what);
+  };
+  check(config.steps > 0 && config.rays > 0 && config.max_rays >= config.rays, "steps and rays must be positive");
+  check(config.grid_rate > 0 && config.network_rate > 0 && config.final_rate > 0 && config.epsilon > 0,
+        "rates and epsilon must be positive");
+  check(config.beta1 >= 0 && config.beta1 < 1 && config.beta2 >= 0 && config.beta2 < 1, "betas lie in [0, 1)");
+  check(config.depth_rays > 0, "depth_rays must be positive");
+  check(config.step_ratio > 0 && config.step_voxels.size() == config.step_moments.size() + 1,
+        "step_voxels has one entry more than step_moments");
+  for (const int voxels : config.step_voxels) check(voxels > 0, "step_voxels must be positive");
+  for (const auto& moments : {config.step_moments, config.occupancy_moments})
+    check(std::is_sorted(moments.begin(), moments.end()), "moments must ascend");
+  check(config.weight_threshold_first > 0 && config.weight_threshold_last > 0, "weight thresholds must be positive");
+}
+
+}  // namespace
+
 FieldConfig FieldConfigFromJson(const Json& json, const std::string& where) {
   try {
     const auto config = json.get<FieldConfig>();
-    MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.density_channels);
-    MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.appearance_channels);
-    MakeLobes(config.lobes_theta, config.lobes_phi);
-    constexpr int kMost = 1 << 14;  // beyond any network that fits in memory
-    for (const int size : {config.spatial_layers, config.spatial_width, config.bottleneck_width, config.lobe_row_width,
-                           config.directional_layers, config.directional_width, config.max_resolution, config.levels}) {
-      if (size < 1 || size > kMost) throw std::invalid_argument("size " + std::to_string(size));
-    }
+    CheckConfig(config);
     return config;
   } catch (const std::exception& error) {
     throw CorruptError(where + ": the field's configuration cannot be used (" + error.what() + ")");
+  }
+}
+
+void ApplySettings(const std::string& settings, Preset& preset) {
+  Json json = {{"field", ToJson(preset.field)}, {"train", ToJson(preset.train)}};
+  std::istringstream words(settings);
+  for (std::string setting; words >> setting;) {
+    const size_t dot = setting.find('.'), equals = setting.find('=');
+    const std::string group = setting.substr(0, dot);
+    if (equals == std::string::npos || dot > equals || !json.contains(group)) {
+      throw UsageError("--set '" + setting + "' is not of the form field.KEY=VALUE or train.KEY=VALUE");
+    }
+    const std::string key = setting.substr(dot + 1, equals - dot - 1);
+    if (!json[group].contains(key)) {
+      std::string keys;
+      for (const auto& item : json[group].items()) keys += (keys.empty() ? "" : ", ") + item.key();
+      throw UsageError("--set '" + setting + "': there is no " + group + "." + key + "; there are " + keys);
+    }
+    const Json before = json;
+    try {
+      json[group][key] = Json::parse(setting.substr(equals + 1));
+      preset = {json["field"].get<FieldConfig>(), json["train"].get<TrainConfig>()};
+      // A number where a truth value stood, or the other way round, would be taken silently.
+      if (json[group][key].is_boolean() != before[group][key].is_boolean()) throw std::invalid_argument("wrong type");
+      CheckConfig(preset.field);
+      CheckConfig(preset.train);
+    } catch (const std::exception& error) {
+      throw UsageError("--set '" + setting + "' cannot be used (" + error.what() + "); the preset has " +
+                       before[group][key].dump());
+    }
   }
 }
 
@@ -78,10 +136,10 @@ Preset SmallPreset(bool unbounded) {
   field.activation = Activation::kRelu;
 
   TrainConfig& train = preset.train;
-  train.steps = unbounded ? 5000 : 8000;
+  train.steps = unbounded ? 10000 : 8000;
   train.rays = 1024;
   train.max_rays = 4096;
-  train.target_shaded = 4096;
+  train.target_shaded = unbounded ? 2048 : 4096;
   train.grid_rate = 0.03;
   train.network_rate = 3e-3;
   train.epsilon = 1e-15;
@@ -90,6 +148,7 @@ Preset SmallPreset(bool unbounded) {
   train.density_l1_weight = 0;
   train.density_l1_weight_later = 0;
   train.sparsity_weight = 1e-4;
+  train.depth_weight = 0.1;
   train.step_voxels = unbounded ? std::vector{24, 48, 96, 192} : std::vector{16, 32, 64, 128};
   train.step_moments = {0.03, 0.06, 0.1};
   train.step_ratio = 1;
@@ -97,7 +156,7 @@ Preset SmallPreset(bool unbounded) {
   train.occupancy_moments = {};
   train.occupancy_interval = 16;
   train.occupancy_cells = unbounded ? 1 << 17 : 1 << 16;
-  train.occupancy_threshold = unbounded ? 0.005 : 0.01;
+  train.occupancy_threshold = 0.01;
   train.occupancy_decay = 0.6;
   train.occupancy_dilate = false;
   train.occupancy_min_views = 2;
@@ -137,10 +196,20 @@ Preset MakePreset(const std::string& name, bool unbounded) {
   throw UsageError("--preset '" + name + "' is not known; the presets are " + names);
 }
 
-Decision FitLevelsToViews(Preset& preset, const std::string& name, int n_train_views) {
+Decision FitDepths(Preset& preset, size_t n_depths, bool unbounded, std::optional<bool> forced) {
+  Decision decision = needs::SparseDepth(n_depths, unbounded);
+  if (n_depths > 0) Force(decision, forced);
+  if (!decision.needed) preset.train.depth_weight = 0;
+  return decision;
+}
+
+Decision FitLevelsToViews(Preset& preset, const std::string& name, int n_train_views, std::optional<bool> forced) {
   FieldConfig& field = preset.field;
-  const int wanted = name == "paper" ? field.max_resolution : needs::FinestResolution(n_train_views);
+  const bool as_published = name == "paper" && !forced;
+  const int wanted =
+      as_published ? field.max_resolution : std::min(field.max_resolution, needs::FinestResolution(n_train_views, preset.train.depth_weight > 0));
   Decision decision = needs::FineLevels(n_train_views, field.max_resolution, wanted);
+  Force(decision, forced);
   if (decision.needed) return decision;
   // Levels keep their ratio: those that stay are as coarse as before.
   const double octaves = std::log2(double(field.max_resolution) / field.base_resolution);

@@ -7,6 +7,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -54,6 +55,8 @@ struct TrainConfig {
   double density_l1_weight = 8e-5;        // losses.h
   double density_l1_weight_later = 4e-5;  // from shrink_moment on
   double sparsity_weight = 0;             // losses.h
+  double depth_weight = 0;                // losses.h, on depth_rays rays through sparse points per step
+  int depth_rays = 64;
 
   // Marching step = step_ratio · (volume of the box)^(1/3) / step_voxels[i]; i grows at each of step_moments. The box
   // of an unbounded scene is that of contracted space, of side 4.
@@ -95,8 +98,15 @@ inline constexpr const char* kPresetNames[] = {"paper", "small", "tiny"};
 // Throws UsageError listing the presets when there is none of that name.
 Preset MakePreset(const std::string& name, bool unbounded);
 
+// Changes single values of a preset: "field.KEY=VALUE" and "train.KEY=VALUE", separated by blanks, VALUE as JSON without
+// blanks. Throws UsageError naming the setting when there is no such key, or the value is of another type or impossible.
+void ApplySettings(const std::string& settings, Preset& preset);
+
+// Sets depth_weight to 0 where the depths are not needed; says what was decided.
+Decision FitDepths(Preset& preset, size_t n_depths, bool unbounded, std::optional<bool> forced = {});
+
 // Leaves out the grid levels finer than so many training views can settle (needs::FinestResolution); says what was
-// decided. `paper` is left as published.
-Decision FitLevelsToViews(Preset& preset, const std::string& name, int n_train_views);
+// decided. `paper` is left as published. To be called after FitDepths.
+Decision FitLevelsToViews(Preset& preset, const std::string& name, int n_train_views, std::optional<bool> forced = {});
 
 }  // namespace nrff

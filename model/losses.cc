@@ -17,4 +17,10 @@ Tensor SparsityLoss(const Tensor& sigma, const Tensor& delta, int64_t n_rays) {
   return -at::expm1(-sigma * delta).sum() / double(n_rays);
 }
 
+Tensor DepthLoss(const Tensor& weights, const Tensor& t, const Tensor& ray_index, const Tensor& distance,
+                 const Tensor& spread) {
+  const Tensor off = (t - distance.index_select(0, ray_index)) / spread.index_select(0, ray_index);
+  return 1 - (weights * at::exp(-0.5 * off.square())).sum() / double(distance.numel());
+}
+
 }  // namespace nrff

@@ -16,4 +16,10 @@ torch::Tensor OrientationLoss(const torch::Tensor& weights, const torch::Tensor&
 // Space is mostly empty: Σ over samples of 1 − exp(−σ δ), per ray. sigma, delta [m].
 torch::Tensor SparsityLoss(const torch::Tensor& sigma, const torch::Tensor& delta, int64_t n_rays);
 
+// Light should end where SfM saw a surface [Deng22]: mean over rays of 1 − Σ w exp(−½ ((t − distance)/spread)²), which
+// is in [0, 1], so that a wrong point pulls no harder than a right one. weights, t [m]; ray_index [m] int64;
+// distance, spread [n_rays], in the unit of t.
+torch::Tensor DepthLoss(const torch::Tensor& weights, const torch::Tensor& t, const torch::Tensor& ray_index,
+                        const torch::Tensor& distance, const torch::Tensor& spread);
+
 }  // namespace nrff

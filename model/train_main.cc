@@ -14,11 +14,16 @@ int main(int argc, char** argv) {
 
   const char* group = nrff::kParameterGroup;
   app.add_option("--preset", request.preset, "paper, small or tiny (small)")->group(group)->type_name("NAME");
+  app.add_option("--set", request.settings, "changes of the preset, as 'field.levels=10 train.depth_weight=0'")
+      ->group(group)
+      ->type_name("SETTINGS");
   auto* steps = app.add_option("--steps", request.steps, "steps of the optimiser (the preset's)")->group(group);
   steps->check(CLI::Range(int64_t{1}, int64_t{100'000'000}));
   auto* budget = app.add_option("--budget-seconds", request.budget_seconds, "train for so long instead")->group(group);
   budget->check(CLI::Range(1., 1e7))->excludes(steps);
   app.add_option("--seed", request.seed, "of every random number (0)")->group(group);
+  nrff::AddForcedOption(app, "--fine-levels", request.fine_levels, "on", "off", "keep all grid levels of the preset");
+  nrff::AddForcedOption(app, "--sparse-depth", request.sparse_depth, "on", "off", "learn from depths of sparse points");
   app.add_option("--device", request.device, "where to compute")
       ->group(group)
       ->check(CLI::IsMember({"auto", "cpu", "cuda"}));

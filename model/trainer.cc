@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <utility>
 
 #include "model/kernels/adam.h"
 #include "model/losses.h"
@@ -41,11 +42,13 @@ const Scene& Checked(const Scene& scene) {
 
 }  // namespace
 
-Trainer::Trainer(const Scene& scene, const ImagePack& pack, const Preset& preset, const TrainOptions& options)
+Trainer::Trainer(const Scene& scene, const ImagePack& pack, std::vector<SparseDepth> depths, const Preset& preset,
+                 const TrainOptions& options)
     : scene_(Checked(scene)),
       preset_(preset),
       options_(options),
       pixels_(TrainingViews(scene), pack, BackgroundLevel(scene, preset.train.unknown_background)),
+      depths_(scene, std::move(depths)),
       background_(BackgroundLevel(scene, preset.train.unknown_background)),
       state_(preset.field, preset.train.occupancy_resolution,
              SceneMap::FromBox(scene.aabb_min, scene.aabb_max, scene.unbounded), options.seed) {
@@ -130,6 +133,17 @@ void Trainer::FollowSchedule(double progress) {
   if (may_shrink && !state_.shrunk && progress >= config.shrink_moment) Shrink();
 }
 
+Tensor Trainer::DepthTerm(const RenderOptions& colour_options) {
+  const DepthSource::Batch batch = depths_.Draw(preset_.train.depth_rays, options_.seed, uint64_t(state_.step),
+                                                state_.map, colour_options.step);
+  RenderOptions options = colour_options;
+  options.jitter_purpose = RandomStream::kDepthJitter;
+  const Samples samples = MarchRays(state_.occupancy, state_.map, batch.rays, options);
+  const Visibility visibility = MeasureVisibility(state_.field, samples, options.stop_transmittance);
+  state_.samples += samples.t.numel();
+  return DepthLoss(visibility.weights, samples.t, samples.ray_index, batch.distance, batch.spread);
+}
+
 void Trainer::Step() {
   const auto start = std::chrono::steady_clock::now();
   const TrainConfig& config = preset_.train;
@@ -152,6 +166,8 @@ void Trainer::Step() {
   if (config.sparsity_weight > 0) {
     loss = loss + config.sparsity_weight * SparsityLoss(rendered.sigma, rendered.delta, state_.n_rays);
   }
+
+  if (config.depth_weight > 0 && !depths_.empty()) loss = loss + config.depth_weight * DepthTerm(options);
 
   const std::string not_finite = Optimise(loss, progress);
   if (not_finite.empty()) {

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "model/config.h"
+#include "model/depth_batch.h"
 #include "model/ray_batch.h"
 #include "model/train_state.h"
 #include "pipeline/scene.h"
@@ -24,7 +25,9 @@ struct TrainOptions {
 class Trainer {
  public:
   // Starts from scratch. Keeps references to scene and pack. Throws InputError when the scene cannot be trained on.
-  Trainer(const Scene& scene, const ImagePack& pack, const Preset& preset, const TrainOptions& options);
+  // `depths`: of scene; may be empty.
+  Trainer(const Scene& scene, const ImagePack& pack, std::vector<SparseDepth> depths, const Preset& preset,
+          const TrainOptions& options);
 
   // 0 to 1.
   double Progress() const;
@@ -47,6 +50,7 @@ class Trainer {
 
  private:
   void FollowSchedule(double progress);
+  torch::Tensor DepthTerm(const RenderOptions& options);
   void UpdateOccupancy(bool all_cells);
   void Shrink();
   // Nothing when all is finite, else what is not.
@@ -55,6 +59,7 @@ class Trainer {
   Preset preset_;
   TrainOptions options_;
   PixelSource pixels_;
+  DepthSource depths_;
   double background_;
   TrainState state_;
 };

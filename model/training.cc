@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <functional>
 #include <optional>
 
 #include "model/checkpoint.h"
@@ -33,9 +34,13 @@ std::string Decibels(double psnr) {
   return text;
 }
 
-Preset ChoosePreset(const TrainingRequest& request, const Scene& scene, Decision& fine_levels) {
+Preset ChoosePreset(const TrainingRequest& request, const Scene& scene, size_t n_depths,
+                    std::vector<Decision>& decisions) {
   Preset preset = MakePreset(request.preset, scene.unbounded);
-  fine_levels = FitLevelsToViews(preset, request.preset, int(scene.ViewsOf(Split::kTrain).size()));
+  const int n_views = int(scene.ViewsOf(Split::kTrain).size());
+  decisions.push_back(FitDepths(preset, n_depths, scene.unbounded, request.sparse_depth));
+  decisions.push_back(FitLevelsToViews(preset, request.preset, n_views, request.fine_levels));
+  ApplySettings(request.settings, preset);
   if (request.steps > 0) preset.train.steps = request.steps;
   return preset;
 }
@@ -50,8 +55,8 @@ Json Settings(const TrainingRequest& request, const Preset& preset) {
 }
 
 // Goes on from the checkpoint in `dir` where there is one that can be used; tells why not where there is not.
-void Resume(const std::filesystem::path& dir, const std::string& settings, const Scene& scene, const ImagePack& pack,
-            const Preset& preset, const TrainOptions& options, std::optional<Trainer>& trainer) {
+void Resume(const std::filesystem::path& dir, const std::string& settings, const std::function<void()>& start_anew,
+            std::optional<Trainer>& trainer) {
   if (!std::filesystem::exists(dir / kCheckpointFile)) return;
   try {
     LoadCheckpoint(dir, settings, trainer->state());
@@ -59,7 +64,7 @@ void Resume(const std::filesystem::path& dir, const std::string& settings, const
     LogInfo("training goes on from step " + std::to_string(trainer->state().step));
   } catch (const Error& error) {
     LogWarning(std::string(error.what()) + "; training starts anew");
-    trainer.emplace(scene, pack, preset, options);
+    start_anew();
   }
 }
 
@@ -123,8 +128,9 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
   const Manifest scene_manifest = RequireArtifact(request.scene_dir, "pose");
   const Scene scene = LoadScene(request.scene_dir);
   const ImagePack pack(request.scene_dir);
-  Decision fine_levels;
-  const Preset preset = ChoosePreset(request, scene, fine_levels);
+  const std::vector<SparseDepth> depths = LoadSparseDepths(scene, request.scene_dir);
+  std::vector<Decision> decisions = {device};
+  const Preset preset = ChoosePreset(request, scene, depths.size(), decisions);
   const TrainOptions options{.budget_seconds = request.budget_seconds, .seed = request.seed};
   const Json settings = Settings(request, preset);
 
@@ -132,8 +138,9 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
                           ArtifactWriter::kKeepPartial);
   artifact.SaveSeconds();
   std::optional<Trainer> trainer;
-  trainer.emplace(scene, pack, preset, options);
-  if (artifact.resumed()) Resume(artifact.dir(), settings.dump(), scene, pack, preset, options, trainer);
+  const auto start_anew = [&] { trainer.emplace(scene, pack, depths, preset, options); };
+  start_anew();
+  if (artifact.resumed()) Resume(artifact.dir(), settings.dump(), start_anew, trainer);
   const HeldOutViews held_out(scene, pack, BackgroundLevel(scene, preset.train.unknown_background));
   TrainToTheEnd(*trainer, held_out, settings.dump(), artifact);
 
@@ -156,8 +163,7 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
                       {"n_parameters", state.field.n_parameters()},
                       {"occupied_fraction", state.occupancy.OccupiedFraction()},
                       {"resumed", state.resumed}};
-  artifact.AddDecision(device);
-  artifact.AddDecision(fine_levels);
+  for (const Decision& decision : decisions) artifact.AddDecision(decision);
   artifact.AddOutput(kModelFile);
   artifact.Commit();
 }

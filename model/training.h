@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <optional>
 #include <string>
 
 #include "pipeline/manifest.h"
@@ -12,9 +13,11 @@ namespace nrff {
 struct TrainingRequest {
   std::filesystem::path scene_dir, out;
   std::string preset = "small";
+  std::string settings;       // changes of the preset: ApplySettings
   int64_t steps = 0;          // 0: the preset's
   double budget_seconds = 0;  // of training, without evaluating; 0: steps decide
   uint64_t seed = 0;
+  std::optional<bool> fine_levels, sparse_depth;  // forced either way
   std::string device = "auto";
   int n_threads = 0;  // 0: one per core
 };

@@ -23,12 +23,43 @@ std::string CheckStage(const std::string& text) {
   return "'" + text + "' is no stage; the stages are " + all;
 }
 
+// Decisions that can be forced: the stages' option, and its words for needed and not needed.
+struct Forceable {
+  const char *feature, *option, *needed, *left_out;
+};
+constexpr Forceable kForceable[] = {{"exhaustive_matching", "matching", "exhaustive", "sequential"},
+                                    {"undistortion", "undistortion", "on", "off"},
+                                    {"contraction", "contraction", "on", "off"},
+                                    {"fine_levels", "fine-levels", "on", "off"},
+                                    {"sparse_depth", "sparse-depth", "on", "off"}};
+
+std::string CheckFeature(const std::string& text) {
+  std::string all;
+  for (const Forceable& forceable : kForceable) {
+    if (text == forceable.feature) return {};
+    all += (all.empty() ? "" : ", ") + std::string(forceable.feature);
+  }
+  return "'" + text + "' is nothing that can be forced; that can be " + all;
+}
+
+void AddForced(const std::string& feature, bool needed, Params& params) {
+  for (const Forceable& forceable : kForceable) {
+    if (feature != forceable.feature) continue;
+    const std::string word = needed ? forceable.needed : forceable.left_out;
+    const auto [entry, is_new] = params.emplace(forceable.option, word);
+    if (!is_new && entry->second != word) throw UsageError("--need and --leave-out both name " + feature);
+  }
+}
+
 Params GivenOptions(const BranchOptions& options) {
   Params params;
   const auto add = [&](const char* name, const std::string& value) {
     if (!value.empty()) params[name] = value;
   };
   add("preset", options.preset);
+  add("set", options.set);
+  for (const std::string& feature : options.need) AddForced(feature, true, params);
+  for (const std::string& feature : options.leave_out) AddForced(feature, false, params);
   add("steps", options.steps);
   add("seed", options.seed);
   add("device", options.device);
@@ -64,10 +95,16 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options) {
       ->type_name("");
   add("--workspace,-w", options.workspace, "DIR", "Where everything goes (default: work/NAME)");
   add("--preset", options.preset, "NAME", "Size of the model and length of the training");
+  add("--set", options.set, "SETTINGS", "Changes of the preset, as 'field.levels=10 train.rays=2048'");
   auto* budget = add("--budget", options.budget, "TIME", "Train the best model in this time: 90s, 10m, 1h");
   add("--steps", options.steps, "N", "Training steps; not with --budget")->check(CheckPositive)->excludes(budget);
   add("--max-image-size", options.max_image_size, "PX", "Shrink photos whose longer side is larger")
       ->check(CheckPositive);
+  const auto add_forced = [&](const char* name, std::vector<std::string>& features, const char* text) {
+    command.add_option(name, features, text)->type_name("FEATURE")->allow_extra_args(false)->check(CheckFeature);
+  };
+  add_forced("--need", options.need, "Use this, whatever the capture's facts say (see `nrff plan`)");
+  add_forced("--leave-out", options.leave_out, "Leave this out, likewise; both can be given several times");
   add("--device", options.device, "NAME", "auto, cpu or cuda")->check(CheckDevice);
   add("--threads", options.threads, "N", "Threads of one stage (default: all cores)")->check(CheckPositive);
   add("--seed", options.seed, "N", "Of everything random")->check(CheckWhole);

@@ -15,7 +15,8 @@ namespace nrff {
 // The options of `nrff run` and `nrff plan` that say what is to be made.
 struct BranchOptions {
   std::vector<std::string> targets;  // captures or workspaces
-  std::string workspace, budget, preset, steps, max_image_size, device, threads, seed, from, until;
+  std::string workspace, budget, preset, set, steps, max_image_size, device, threads, seed, from, until;
+  std::vector<std::string> need, leave_out;  // features whose decision is forced
   bool force = false;
 };
 void AddBranchOptions(CLI::App& command, BranchOptions& options);

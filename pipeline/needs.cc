@@ -4,6 +4,12 @@
 
 namespace nrff {
 
+void Force(Decision& decision, std::optional<bool> forced) {
+  if (!forced) return;
+  decision.needed = *forced;
+  decision.reason = "forced by an option";
+}
+
 void to_json(Json& json, const Decision& value) {
   json = {{"feature", value.feature},
           {"needed", value.needed},
@@ -71,13 +77,27 @@ Decision ExhaustiveMatching(int n_images, bool ordered) {
                            : "any two photos may overlap"};
 }
 
-int FinestResolution(int n_train_views) { return n_train_views < 16 ? 64 : n_train_views < 32 ? 128 : 256; }
+int FinestResolution(int n_train_views, bool sparse_depth) {
+  if (sparse_depth || n_train_views >= 32) return 256;
+  return n_train_views < 16 ? 64 : 128;
+}
 
 Decision FineLevels(int n_train_views, int finest, int wanted) {
   const bool needed = finest <= wanted;
   return {"fine_levels", needed, std::to_string(n_train_views) + " training views, finest level " + std::to_string(finest),
           "finest level " + std::to_string(wanted) + " for so many views",
           needed ? "the views settle every level" : "finer levels would learn each view by heart"};
+}
+
+Decision SparseDepth(size_t n_depths, bool unbounded) {
+  constexpr size_t kFewestDepths = 200;
+  const bool needed = unbounded && n_depths >= kFewestDepths;
+  return {"sparse_depth", needed,
+          std::to_string(n_depths) + " depths, " + (unbounded ? "unbounded scene" : "bounded scene"),
+          std::to_string(kFewestDepths) + " depths in an unbounded scene",
+          needed       ? "sparse points tell where surfaces are"
+          : !unbounded ? "silhouettes tell where surfaces are"
+                       : "too few points to tell where surfaces are"};
 }
 
 Decision Lpips(const std::string& network_path) {

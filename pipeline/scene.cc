@@ -51,6 +51,12 @@ void CheckSimilarity(const Mat4& m, bool rigid, const std::string& where) {
 
 }  // namespace
 
+const char* BackgroundName(Background background) { return kBackgroundNames[static_cast<int>(background)]; }
+
+Background ParseBackground(const Json& json, const std::string& where) {
+  return ParseName<Background>(json, "background", kBackgroundNames, where);
+}
+
 std::vector<int> Scene::ViewsOf(Split split) const {
   std::vector<int> indices;
   for (size_t i = 0; i < views.size(); ++i) {
@@ -77,7 +83,7 @@ void SaveScene(const Scene& scene, const fs::path& dir) {
   }
   WriteJson(dir / kSceneFile, {{"schema_version", kSceneSchemaVersion},
                                {"name", scene.name},
-                               {"background", kBackgroundNames[static_cast<int>(scene.background)]},
+                               {"background", BackgroundName(scene.background)},
                                {"unbounded", scene.unbounded},
                                {"aabb_min", scene.aabb_min},
                                {"aabb_max", scene.aabb_max},
@@ -94,7 +100,7 @@ Scene LoadScene(const fs::path& dir) {
   CheckSchemaVersion(json, kSceneSchemaVersion, where);
   Scene scene;
   scene.name = Get<std::string>(json, "name", where);
-  scene.background = ParseName<Background>(json, "background", kBackgroundNames, where);
+  scene.background = ParseBackground(json, where);
   scene.unbounded = Get<bool>(json, "unbounded", where);
   scene.aabb_min = Get<Vec3>(json, "aabb_min", where);
   scene.aabb_max = Get<Vec3>(json, "aabb_max", where);
@@ -145,6 +151,34 @@ Scene LoadScene(const fs::path& dir) {
     scene.views.push_back(std::move(view));
   }
   return scene;
+}
+
+void SaveSparseDepths(const std::vector<SparseDepth>& depths, const fs::path& dir) {
+  WriteFileAtomically(dir / kDepthFile,
+                      {reinterpret_cast<const char*>(depths.data()), depths.size() * sizeof(SparseDepth)});
+}
+
+std::vector<SparseDepth> LoadSparseDepths(const Scene& scene, const fs::path& dir) {
+  const fs::path path = dir / kDepthFile;
+  const std::string bytes = ReadFile(path);
+  const auto damaged = [&](const std::string& what) {
+    return CorruptError(EscapePath(path) + " " + what + ": run the pose stage again");
+  };
+  if (bytes.size() % sizeof(SparseDepth) != 0) throw damaged("ends within a record");
+  std::vector<SparseDepth> depths(bytes.size() / sizeof(SparseDepth));
+  if (!bytes.empty()) std::memcpy(depths.data(), bytes.data(), bytes.size());
+  for (size_t i = 0; i < depths.size(); ++i) {
+    const SparseDepth& d = depths[i];
+    const bool finite = std::isfinite(d.position[0]) && std::isfinite(d.position[1]) && std::isfinite(d.position[2]);
+    if (!finite || !(d.sigma > 0) || !std::isfinite(d.sigma)) {
+      throw damaged("has numbers that are not finite in record " + std::to_string(i));
+    }
+    if (d.view >= scene.views.size() || scene.views[d.view].split != Split::kTrain) {
+      throw damaged("names view " + std::to_string(d.view) + " in record " + std::to_string(i) +
+                    ", which is not a training view");
+    }
+  }
+  return depths;
 }
 
 ImagePack::ImagePack(const fs::path& dir) {

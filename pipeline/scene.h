@@ -2,6 +2,7 @@
 //
 //   scene.json   this struct (schema in ARCHITECTURE.md)
 //   images.u8    the pixels: per view height × width × channels uint8, row-major, sRGB, straight alpha, at pack_offset
+//   depths.bin   SparseDepth records, little endian, 20 bytes each; empty where a capture has no triangulated points
 //
 // Conventions: OpenCV camera axes (x right, y down, z forward); pixel centres at +0.5; pinhole, no distortion left.
 #pragma once
@@ -11,6 +12,8 @@
 #include <filesystem>
 #include <string>
 #include <vector>
+
+#include "pipeline/json.h"
 
 namespace nrff {
 
@@ -34,6 +37,10 @@ struct View {
 
 enum class Background { kNone, kWhite, kBlack };  // what an RGBA pixel is composited onto; kNone: the field explains every pixel
 
+const char* BackgroundName(Background background);  // "none", "white", "black"
+// json["background"]; throws CorruptError naming `where` when there is none or it is another name.
+Background ParseBackground(const Json& json, const std::string& where);
+
 struct Scene {
   std::string name;
   Background background = Background::kNone;
@@ -48,11 +55,23 @@ struct Scene {
   std::vector<int> ViewsOf(Split split) const;  // indices
 };
 
-inline constexpr int kSceneSchemaVersion = 1;
+// A triangulated point as one training view sees it: the surface on that ray is there, give or take `sigma`.
+struct SparseDepth {
+  uint32_t view = 0;          // index into Scene::views
+  float position[3] = {};     // scene units
+  float sigma = 0;            // standard deviation of its distance from the camera, scene units, > 0
+};
+static_assert(sizeof(SparseDepth) == 20);
+
+inline constexpr int kSceneSchemaVersion = 2;
 
 void SaveScene(const Scene& scene, const std::filesystem::path& dir);
 // Checks everything a reader relies on: finite, rotations orthonormal and right-handed, offsets inside the pack.
 Scene LoadScene(const std::filesystem::path& dir);
+
+void SaveSparseDepths(const std::vector<SparseDepth>& depths, const std::filesystem::path& dir);
+// Throws CorruptError naming the file when a record is cut off, not finite, or not of a training view of `scene`.
+std::vector<SparseDepth> LoadSparseDepths(const Scene& scene, const std::filesystem::path& dir);
 
 // Read-only memory map of images.u8.
 class ImagePack {
@@ -71,6 +90,7 @@ class ImagePack {
 
 inline constexpr char kSceneFile[] = "scene.json";
 inline constexpr char kPackFile[] = "images.u8";
+inline constexpr char kDepthFile[] = "depths.bin";
 
 Mat4 Multiply(const Mat4& a, const Mat4& b);
 // Inverse of a similarity (scale·rotation, translation).

@@ -26,6 +26,19 @@ void AddVerbosity(CLI::App& app) {
   app.add_flag_callback("-v,--verbose", [] { SetVerbosity(Verbosity::kVerbose); }, "More detail")->excludes(quiet);
 }
 
+void AddForcedOption(CLI::App& app, const std::string& name, std::optional<bool>& value, const std::string& needed,
+                     const std::string& not_needed, const std::string& help) {
+  app.add_option_function<std::string>(
+         name,
+         [&value, needed](const std::string& text) {
+           value = text == "auto" ? std::nullopt : std::optional(text == needed);
+         },
+         help)
+      ->check(CLI::IsMember(std::vector<std::string>{"auto", needed, not_needed}))
+      ->default_str("auto")
+      ->group(kParameterGroup);
+}
+
 int StageMain(CLI::App& app, int argc, char** argv, const std::function<void()>& body) {
   const auto fail = [](ExitCode code, const std::string& message) {
     std::fprintf(stderr, "error: %s\n", message.c_str());

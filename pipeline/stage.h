@@ -3,6 +3,7 @@
 
 #include <CLI/CLI.hpp>
 #include <functional>
+#include <optional>
 #include <string>
 
 #include "pipeline/manifest.h"
@@ -18,6 +19,11 @@ Params GivenParams(const CLI::App& app);
 
 // Adds --quiet and --verbose.
 void AddVerbosity(CLI::App& app);
+
+// Adds an option for a decision that is made from facts unless it is forced: auto, or one of two words for needed and
+// not needed.
+void AddForcedOption(CLI::App& app, const std::string& name, std::optional<bool>& value, const std::string& needed,
+                     const std::string& not_needed, const std::string& help);
 
 // Parses, runs `body`, maps Error and std::exception to exit codes and one "error: …" line on stderr. Throws nothing.
 // bad_alloc and ENOSPC end with kResource.

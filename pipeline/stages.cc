@@ -28,12 +28,12 @@ struct Stage {
 const std::vector<Stage>& Table() {
   static const std::vector<Stage> table = {
       {"ingest", "nrff-ingest", "", {}, {}, {}, false, 512 * kMebibyte},
-      {"sfm", "nrff-pose", "estimate", {{"--ingest", "ingest"}}, {"seed"}, {}, true, 2048 * kMebibyte},
+      {"sfm", "nrff-pose", "estimate", {{"--ingest", "ingest"}}, {"seed", "matching"}, {}, true, 2048 * kMebibyte},
       {"pose",
        "nrff-pose",
        "normalise",
        {{"--ingest", "ingest"}, {"--sfm", "sfm"}},
-       {"max-image-size"},
+       {"max-image-size", "undistortion", "contraction"},
        {},
        false,
        1024 * kMebibyte},
@@ -41,7 +41,7 @@ const std::vector<Stage>& Table() {
        "nrff-train",
        "",
        {{"--scene", "pose"}},
-       {"preset", "steps", "budget-seconds", "seed", "device"},
+       {"preset", "set", "steps", "budget-seconds", "seed", "fine-levels", "sparse-depth", "device"},
        {},
        true,
        2048 * kMebibyte},

@@ -49,6 +49,17 @@ struct SceneMap {
     for (int k = 0; k < 3; ++k) scene[k] = Scalar(center[k]) + Scalar(half_extent[k]) * scale * field[k];
   }
 
+  // Distance along the ray between neighbouring samples at `scene` for a marching step of `step` (kernels/sampling.h).
+  double StepAt(const double scene[3], const double direction[3], double step) const {
+    if (!unbounded) return step;
+    double m = 1, squared_speed = 0;
+    for (int k = 0; k < 3; ++k) {
+      m = std::max(m, std::abs((scene[k] - center[k]) / half_extent[k]));
+      squared_speed += direction[k] * direction[k] / (half_extent[k] * half_extent[k]);
+    }
+    return step * m * m / std::sqrt(squared_speed);
+  }
+
   // Field coordinates = ContractionScale(|u|∞)·u in unbounded scenes.
   template <typename Scalar>
   static Scalar ContractionScale(Scalar m) {

@@ -209,7 +209,7 @@ Samples MarchRays(const OccupancyGrid& occupancy, const SceneMap& map, const Ray
     if (options.jitter) {
       args.jitter = true;
       args.jitter_seed = options.jitter->first;
-      args.jitter_stream = StreamAt(RandomStream::kRayJitter, options.jitter->second);
+      args.jitter_stream = StreamAt(options.jitter_purpose, options.jitter->second);
     }
     const int64_t n_samples = CountSamplesCpu(args, Out<int64_t>(samples.ray_offsets));
     samples.t = at::empty({n_samples}, origins.options());
@@ -230,15 +230,20 @@ RenderResult RenderRays(const RadianceField& field, const OccupancyGrid& occupan
   return RenderSamples(field, MarchRays(occupancy, map, rays, options), rays, options);
 }
 
+Visibility MeasureVisibility(const RadianceField& field, const Samples& samples, double stop_transmittance) {
+  const Tensor sigma = samples.t.numel() > 0 ? field.Density(samples.points) : at::empty_like(samples.t);
+  const tensor_list weights = Weights::apply(sigma, samples.delta, samples.ray_offsets, stop_transmittance);
+  return {sigma, weights[0], weights[1]};
+}
+
 RenderResult RenderSamples(const RadianceField& field, const Samples& samples, const Rays& rays,
                            const RenderOptions& options) {
+  const Visibility visibility = MeasureVisibility(field, samples, options.stop_transmittance);
+  const Tensor &weights = visibility.weights, &transmittance = visibility.transmittance;
   RenderResult result;
   result.n_samples = samples.t.numel();
   result.delta = samples.delta;
-  result.sigma = result.n_samples > 0 ? field.Density(samples.points) : at::empty_like(samples.t);
-  const tensor_list visibility =
-      Weights::apply(result.sigma, samples.delta, samples.ray_offsets, options.stop_transmittance);
-  const Tensor &weights = visibility[0], &transmittance = visibility[1];
+  result.sigma = visibility.sigma;
   result.weights = weights;
 
   const Selection shaded = SelectSamples(weights, samples.ray_offsets, options.weight_threshold);

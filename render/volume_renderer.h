@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "pipeline/scene.h"
+#include "render/kernels/random.h"
 #include "render/occupancy_grid.h"
 #include "render/radiance_field.h"
 #include "render/scene_map.h"
@@ -35,8 +36,9 @@ struct RenderOptions {
   double weight_threshold = 1e-4;   // samples with w ≤ this are not shaded: colour error ≤ Σ of the weights left out
   double stop_transmittance = 1e-4; // a ray ends when T falls below; exact for the set w > threshold when ≤ it
   double background = 1;            // grey level behind everything
-  // Jitter of the first sample of every ray, from the stream (seed, counter); none when not given.
+  // Jitter of the first sample of every ray, from the stream (seed, jitter_purpose at counter); none when not given.
   std::optional<std::pair<uint64_t, uint64_t>> jitter;
+  RandomStream jitter_purpose = RandomStream::kRayJitter;
 };
 
 struct RenderResult {
@@ -65,6 +67,14 @@ struct Samples {
 
 // The marched samples in occupied cells (render/kernels/sampling.h). Throws as RenderRays.
 Samples MarchRays(const OccupancyGrid& occupancy, const SceneMap& map, const Rays& rays, const RenderOptions& options);
+
+// How light gets along the rays, without colour.
+struct Visibility {
+  torch::Tensor sigma;          // [m]
+  torch::Tensor weights;        // [m]
+  torch::Tensor transmittance;  // [n_rays] behind the last sample
+};
+Visibility MeasureVisibility(const RadianceField& field, const Samples& samples, double stop_transmittance);
 
 // What RenderRays does with the samples it marched.
 RenderResult RenderSamples(const RadianceField& field, const Samples& samples, const Rays& rays,

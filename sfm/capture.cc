@@ -9,25 +9,6 @@
 namespace nrff {
 namespace {
 
-const char* BackgroundName(Background background) {
-  switch (background) {
-    case Background::kNone:
-      return "none";
-    case Background::kWhite:
-      return "white";
-    case Background::kBlack:
-      return "black";
-  }
-  return "none";
-}
-
-Background BackgroundNamed(const std::string& name, const std::string& where) {
-  for (Background background : {Background::kNone, Background::kWhite, Background::kBlack}) {
-    if (name == BackgroundName(background)) return background;
-  }
-  throw CorruptError(where + ": \"background\" is \"" + name + "\"; expected none, white or black; run ingest again");
-}
-
 Split SplitNamed(const std::string& name, const std::string& where) {
   if (name == "train") return Split::kTrain;
   if (name == "test") return Split::kTest;
@@ -127,7 +108,7 @@ Capture LoadCapture(const std::filesystem::path& dir) {
   capture.split_rule = Get<std::string>(json, "split_rule", where);
   capture.posed = Get<bool>(json, "posed", where);
   capture.ordered = Get<bool>(json, "ordered", where);
-  capture.background = BackgroundNamed(Get<std::string>(json, "background", where), where);
+  capture.background = ParseBackground(json, where);
   capture.box = GetOptional<std::array<double, 6>>(json, "box", where);
   for (const Json& image : Get<Json>(json, "images", where)) capture.images.push_back(ImageFromJson(image, where));
   for (const Json& file : Get<Json>(json, "rejected", where)) {

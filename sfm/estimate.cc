@@ -156,10 +156,7 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
   artifact.facts()["colmap_version"] = colmap.version();
 
   Decision matching = needs::ExhaustiveMatching(n_images, capture.ordered);
-  if (options.exhaustive) {
-    matching.needed = *options.exhaustive;
-    matching.reason = "forced by an option";
-  }
+  Force(matching, options.exhaustive);
   artifact.AddDecision(matching);
 
   const SfmSettings fast = Settings(0, matching.needed, options.seed, options.n_threads);

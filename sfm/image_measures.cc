@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <charconv>
+#include <cmath>
 #include <numeric>
 #include <opencv2/imgproc.hpp>
 
@@ -9,6 +10,9 @@ namespace nrff {
 namespace {
 
 constexpr int kBlurSide_px = 512;
+constexpr double kFrame = 0.02;  // of the shorter side
+constexpr int kNearlyWhite = 230, kNearlyBlack = 25;
+constexpr double kPlainShare = 0.7;
 constexpr int kHashSide = 16;
 constexpr size_t kMaxBitsApart = 2;
 constexpr double kMaxMeanGap = 3;
@@ -67,6 +71,36 @@ double MeasureBlur(const Image& image) {
   cv::Scalar mean, deviation;
   cv::meanStdDev(laplacian, mean, deviation);
   return deviation[0] * deviation[0];
+}
+
+FrameShares MeasureFrame(const Image& image) {
+  const int margin = std::max(1, int(std::lround(kFrame * std::min(image.width, image.height))));
+  int64_t n = 0, n_white = 0, n_black = 0;
+  for (int y = 0; y < image.height; ++y) {
+    const bool whole_row = y < margin || y >= image.height - margin;
+    for (int x = 0; x < image.width; ++x) {
+      if (!whole_row && x == margin) x = std::max(x, image.width - margin);  // over the inside
+      const uint8_t* p = &image.pixels[(size_t(y) * image.width + x) * image.channels];
+      const auto [darkest, brightest] = std::minmax({p[0], p[1], p[2]});
+      ++n;
+      n_white += darkest >= kNearlyWhite;
+      n_black += brightest <= kNearlyBlack;
+    }
+  }
+  return {double(n_white) / double(n), double(n_black) / double(n)};
+}
+
+Background PlainBackground(const std::vector<FrameShares>& frames) {
+  if (frames.empty()) return Background::kNone;
+  const auto median = [&](double FrameShares::*share) {
+    std::vector<double> values;
+    for (const FrameShares& frame : frames) values.push_back(frame.*share);
+    std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(values.size() / 2), values.end());
+    return values[values.size() / 2];
+  };
+  if (median(&FrameShares::white) >= kPlainShare) return Background::kWhite;
+  if (median(&FrameShares::black) >= kPlainShare) return Background::kBlack;
+  return Background::kNone;
 }
 
 DifferenceHash HashDifferences(const Image& image) {

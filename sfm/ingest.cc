@@ -35,6 +35,7 @@ struct MeasuredPhoto {
   CaptureImage image;
   std::optional<Split> given_split;
   DifferenceHash look;
+  FrameShares frame;
   std::optional<RejectedFile> rejected;
 };
 
@@ -79,6 +80,7 @@ void Measure(const Source& source, const ColmapCamera* camera, MeasuredPhoto& ph
     info.channels = pixels.channels;
     image.blur = MeasureBlur(pixels);
     photo.look = HashDifferences(pixels);
+    photo.frame = MeasureFrame(pixels);
   } catch (const Error& error) {
     photo.rejected = Rejection(source.root, image.path, error);
   }
@@ -187,6 +189,7 @@ Capture MakeCapture(const Source& source, std::vector<MeasuredPhoto> photos) {
   if (!capture.posed) RejectCopies(photos);  // posed copies may be views that show nothing
   std::vector<std::optional<Split>> given;
   std::vector<DifferenceHash> looks;
+  std::vector<FrameShares> frames;
   std::vector<fs::path> paths;
   std::vector<std::optional<std::string>> timestamps;
   for (MeasuredPhoto& photo : photos) {
@@ -199,6 +202,7 @@ Capture MakeCapture(const Source& source, std::vector<MeasuredPhoto> photos) {
     photo.image.id = id;
     given.push_back(photo.given_split);
     looks.push_back(photo.look);
+    frames.push_back(photo.frame);
     paths.push_back(photo.image.path);
     timestamps.push_back(photo.image.info.timestamp);
     capture.images.push_back(std::move(photo.image));
@@ -206,11 +210,11 @@ Capture MakeCapture(const Source& source, std::vector<MeasuredPhoto> photos) {
   CheckEnough(source, capture.images.size(), capture.rejected);
   std::vector<Split> splits;
   capture.split_rule = FreezeHoldOut(given, splits);
-  for (size_t i = 0; i < splits.size(); ++i) {
-    capture.images[i].split = splits[i];
-    if (capture.images[i].info.channels == 4 && capture.background == Background::kNone)
-      capture.background = Background::kWhite;
-  }
+  for (size_t i = 0; i < splits.size(); ++i) capture.images[i].split = splits[i];
+  const bool has_alpha = std::any_of(capture.images.begin(), capture.images.end(),
+                                     [](const CaptureImage& image) { return image.info.channels == 4; });
+  if (capture.background == Background::kNone)
+    capture.background = has_alpha ? Background::kWhite : PlainBackground(frames);
   capture.ordered = IsOrdered(paths, timestamps);
   for (const std::vector<int>& group : GroupAlike(looks)) {
     std::vector<std::string>& names = capture.duplicates.emplace_back();
@@ -301,7 +305,8 @@ Json Facts(const Capture& capture, int n_cameras) {
           {"height", height},
           {"rejected", std::move(rejected)},
           {"duplicates", capture.duplicates},
-          {"blur_median", MedianBlur(capture.images)}};
+          {"blur_median", MedianBlur(capture.images)},
+          {"background", BackgroundName(capture.background)}};
 }
 
 void LogOutcome(const Capture& capture, const Json& facts) {

@@ -238,10 +238,7 @@ Normalisation Normalise(const NormaliseInput& input, std::optional<bool> force_c
   const std::optional<double> background_fraction =
       focus && input.plain_background ? BackgroundFraction(input.points, *focus, seen_radius) : std::nullopt;
   n.contraction = needs::Contraction(input.box.has_value(), input.masked, background_fraction);
-  if (force_contraction) {
-    n.contraction.needed = *force_contraction;
-    n.contraction.reason = "forced by an option";
-  }
+  Force(n.contraction, force_contraction);
   n.unbounded = n.contraction.needed;
 
   const Matrix3d axes = SceneAxes(input.cameras);

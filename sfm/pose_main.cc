@@ -31,21 +31,6 @@ void AddCommon(CLI::App& app, Common& common) {
   nrff::AddVerbosity(app);
 }
 
-// An option that is decided from the capture unless it is forced: auto, or one of two words for needed and not needed.
-CLI::Option* AddForced(CLI::App& app, const std::string& name, std::optional<bool>& value, const std::string& needed,
-                       const std::string& not_needed, const std::string& help) {
-  return app
-      .add_option_function<std::string>(
-          name,
-          [&value, needed](const std::string& text) {
-            value = text == "auto" ? std::nullopt : std::optional(text == needed);
-          },
-          help)
-      ->check(CLI::IsMember(std::vector<std::string>{"auto", needed, not_needed}))
-      ->default_str("auto")
-      ->group(nrff::kParameterGroup);
-}
-
 nrff::HashedPath Input(const fs::path& dir, const std::string& kind) {
   return nrff::ArtifactInput(dir, nrff::RequireArtifact(dir, kind));
 }
@@ -71,7 +56,7 @@ int main(int argc, char** argv) {
                    "Seconds after which a silent, idle COLMAP is stopped")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
-  AddForced(*estimate, "--matching", estimation.exhaustive, "exhaustive", "sequential",
+  nrff::AddForcedOption(*estimate, "--matching", estimation.exhaustive, "exhaustive", "sequential",
             "Which pairs of photos are matched");
 
   CLI::App* normalise = app.add_subcommand("normalise",
@@ -86,8 +71,8 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(16, 65536))
       ->capture_default_str()
       ->group(nrff::kParameterGroup);
-  AddForced(*normalise, "--undistortion", pose.undistortion, "on", "off", "Resample the photos to pinhole images");
-  AddForced(*normalise, "--contraction", pose.contraction, "on", "off", "Contract what is outside the foreground box");
+  nrff::AddForcedOption(*normalise, "--undistortion", pose.undistortion, "on", "off", "Resample the photos to pinhole images");
+  nrff::AddForcedOption(*normalise, "--contraction", pose.contraction, "on", "off", "Contract what is outside the foreground box");
 
   return nrff::StageMain(app, argc, argv, [&] {
     if (estimate->parsed()) {

@@ -15,6 +15,7 @@
 #include "sfm/distortion.h"
 #include "sfm/image_pack.h"
 #include "sfm/normalise.h"
+#include "sfm/sparse_depth.h"
 #include "sfm/transforms_json.h"
 #include "sfm/undistort.h"
 
@@ -90,10 +91,7 @@ std::map<uint32_t, TargetCamera> ChooseTargets(const ColmapModel& model, const s
     cameras.emplace(id, TargetCamera{std::move(lens), target});
   }
   Decision decision = needs::Undistortion(largest_px);
-  if (options.undistortion) {
-    decision.needed = *options.undistortion;
-    decision.reason = "forced by an option";
-  }
+  Force(decision, options.undistortion);
   artifact.AddDecision(decision);
   // JSON has no infinity: null where the lens reaches no ray for part of the photo.
   artifact.facts()["largest_displacement_px"] = std::isfinite(largest_px) ? Json(largest_px) : Json();
@@ -188,6 +186,17 @@ ColmapModel PinholeModel(const ColmapModel& model, const std::vector<PosedPhoto>
   return pinhole;
 }
 
+std::vector<SparseDepth> SparseDepths(const ColmapModel& pinhole, const std::vector<PosedPhoto>& posed,
+                                      const Scene& scene, const Eigen::Matrix4d& scene_from_world) {
+  std::map<uint32_t, uint32_t> view_of_image;
+  std::vector<double> error_scale;
+  for (size_t i = 0; i < posed.size(); ++i) {
+    view_of_image[posed[i].image->id] = uint32_t(i);
+    error_scale.push_back(double(scene.views[i].width) / posed[i].photo->info.width);
+  }
+  return MeasureSparseDepths(pinhole, view_of_image, error_scale, scene, scene_from_world);
+}
+
 void WritePly(const ColmapModel& model, const Eigen::Matrix4d& scene_from_world, const fs::path& file) {
   std::string bytes = "ply\nformat binary_little_endian 1.0\nelement vertex " + std::to_string(model.points.size()) +
                       "\nproperty float x\nproperty float y\nproperty float z\n"
@@ -224,11 +233,13 @@ void WriteScene(const fs::path& ingest_dir, const fs::path& model_dir, const Pos
   SaveScene(scene, artifact.dir());
 
   const ColmapModel pinhole = PinholeModel(model, posed);
+  const std::vector<SparseDepth> depths = SparseDepths(pinhole, posed, scene, normalisation.scene_from_world);
+  SaveSparseDepths(depths, artifact.dir());
   WritePly(model, normalisation.scene_from_world, artifact.dir() / "points.ply");
   fs::create_directories(artifact.dir() / "sparse");
   WriteColmapText(pinhole, artifact.dir() / "sparse");
   WriteTransforms(pinhole, artifact.dir() / "transforms.json");
-  for (const char* output : {kSceneFile, kPackFile, "points.ply", "sparse", "transforms.json"})
+  for (const char* output : {kSceneFile, kPackFile, kDepthFile, "points.ply", "sparse", "transforms.json"})
     artifact.AddOutput(output);
 
   Json& facts = artifact.facts();
@@ -244,6 +255,7 @@ void WriteScene(const fs::path& ingest_dir, const fs::path& model_dir, const Pos
   facts["width"] = width;
   facts["height"] = height;
   facts["n_points"] = model.points.size();
+  facts["n_depths"] = depths.size();
   facts["scale"] = normalisation.scale;
   facts["pack_bytes"] = PackBytes(scene);
 }

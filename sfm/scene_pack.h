@@ -1,6 +1,7 @@
 // The pose stage: from a capture and a COLMAP model of it to the scene that training reads.
 //
 //   scene.json, images.u8   pipeline/scene.h
+//   depths.bin              sparse depths on rays of training views: pipeline/scene.h, sparse_depth.h
 //   points.ply              sparse points: binary little endian, float x y z (scene frame), uchar red green blue
 //   sparse/*.txt            COLMAP text model, world frame, the pinhole cameras of the pack, images named by their path
 //   transforms.json         the same cameras in nerfstudio's form

@@ -134,6 +134,22 @@ TEST_F(DriverTest, OptionGoesToItsStageAndMakesThatAndWhatFollowsStale) {
   EXPECT_EQ(RunFox({"--steps", "20", "--budget", "1m"}).exit_code, 2);
 }
 
+TEST_F(DriverTest, ForcedDecisionsGoToTheStagesThatMakeThem) {
+  RunFox();
+  Ran();
+  const ProgramResult forced = RunFox({"--need", "undistortion", "--leave-out", "sparse_depth", "--leave-out", "exhaustive_matching"});
+  EXPECT_EQ(forced.exit_code, 0) << forced.err;
+  EXPECT_EQ(ReadManifest(root_ / "work/sfm")->params, (Params{{"matching", "sequential"}}));
+  EXPECT_EQ(ReadManifest(root_ / "work/pose")->params, (Params{{"undistortion", "on"}}));
+  EXPECT_EQ(ReadManifest(root_ / "work/train")->params, (Params{{"sparse-depth", "off"}}));
+  const ProgramResult both = RunFox({"--need", "contraction", "--leave-out", "contraction"});
+  EXPECT_EQ(both.exit_code, 2);
+  EXPECT_THAT(both.err, HasSubstr("--need and --leave-out both name contraction"));
+  const ProgramResult unknown = RunFox({"--leave-out", "training"});
+  EXPECT_EQ(unknown.exit_code, 2);
+  EXPECT_THAT(unknown.err, HasSubstr("nothing that can be forced"));
+}
+
 TEST_F(DriverTest, WorkspaceStandsForItsCaptureAndLastOptions) {
   RunFox({"--steps", "10"});
   Ran();

@@ -32,7 +32,9 @@ void Note(const std::string& line) {
   if (!path.empty()) std::ofstream(path, std::ios::app) << line << std::endl;
 }
 
-const std::set<std::string> kParams = {"preset", "steps", "budget-seconds", "seed", "max-image-size"};
+const std::set<std::string> kParams = {"preset",         "steps",        "budget-seconds", "seed",
+                                       "max-image-size", "undistortion", "contraction",    "matching",
+                                       "set",            "fine-levels",  "sparse-depth"};
 const std::set<std::string> kInputs = {"ingest", "sfm", "scene", "model", "renders"};
 
 }  // namespace

@@ -184,6 +184,37 @@ TEST(ImageMeasuresTest, BlurFallsWhenAPhotoIsSmoothed) {
   EXPECT_EQ(MeasureBlur({20, 20, 3, std::vector<uint8_t>(1200, 80)}), 0);
 }
 
+// A disc of noise on a plain colour.
+Image BeforeBackdrop(uint8_t backdrop) {
+  Image image{100, 80, 3, std::vector<uint8_t>(100 * 80 * 3, backdrop)};
+  for (int y = 0; y < 80; ++y) {
+    for (int x = 0; x < 100; ++x) {
+      if (std::hypot(x - 50, y - 40) > 30) continue;
+      for (int c = 0; c < 3; ++c) image.pixels[(y * 100 + x) * 3 + c] = uint8_t((x * 37 + y * 91 + c * 53) % 256);
+    }
+  }
+  return image;
+}
+
+TEST(ImageMeasuresTest, APlainBackdropIsToldFromTheFrame) {
+  const Image white = BeforeBackdrop(245), black = BeforeBackdrop(5), grey = BeforeBackdrop(128);
+  EXPECT_EQ(MeasureFrame(white).white, 1);
+  EXPECT_EQ(MeasureFrame(white).black, 0);
+  Image half = white;  // the lower half is another colour: 2 px of 80 at the bottom and half of the sides
+  std::fill(half.pixels.begin() + std::ptrdiff_t(half.pixels.size() / 2), half.pixels.end(), uint8_t(100));
+  EXPECT_NEAR(MeasureFrame(half).white, 0.5, 1e-9);
+  const auto background = [](std::vector<Image> images) {
+    std::vector<FrameShares> frames;
+    for (const Image& image : images) frames.push_back(MeasureFrame(image));
+    return PlainBackground(frames);
+  };
+  EXPECT_EQ(background({white, white, half}), Background::kWhite);
+  EXPECT_EQ(background({white, half, half}), Background::kNone);
+  EXPECT_EQ(background({black, black, grey}), Background::kBlack);
+  EXPECT_EQ(background({grey}), Background::kNone);
+  EXPECT_EQ(background({}), Background::kNone);
+}
+
 TEST(ImageMeasuresTest, LookAlikesAreGroupedTransitively) {
   std::vector<DifferenceHash> hashes(6);
   hashes[2].set(0);

@@ -6,6 +6,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <cerrno>
 #include <chrono>
 #include <fstream>
 #include <sstream>
@@ -75,9 +76,16 @@ Program::Program(const std::vector<std::string>& command, const ProgramOptions& 
   std::vector<std::string> resolved = command;
   if (command[0].find('/') == std::string::npos) resolved[0] = std::string(NRFF_BIN_DIR) + "/" + command[0];
   const fs::path out = output_ / "out", err = output_ / "err";
+  // Closed by the child's exec: from then on the session exists.
+  int running[2];
+  if (pipe2(running, O_CLOEXEC) != 0) throw std::runtime_error("cannot make a pipe");
   pid_ = fork();
   if (pid_ < 0) throw std::runtime_error("cannot fork");
   if (pid_ == 0) RunChild(resolved, options, out, err);
+  close(running[1]);
+  char nothing = 0;
+  while (read(running[0], &nothing, 1) < 0 && errno == EINTR) continue;
+  close(running[0]);
 }
 
 Program::~Program() {

@@ -7,6 +7,7 @@
 #include <Eigen/LU>
 
 #include "pipeline/scene.h"
+#include "sfm/sparse_depth.h"
 #include "sfm/transforms_json.h"
 #include "tests/pose_fixture.h"
 #include "tests/temporary_directory.h"
@@ -150,6 +151,79 @@ TEST_F(ScenePack, PointsComeInTheSceneFrame) {
   const Eigen::Vector3d expected = Apply(LoadScene(pose_).scene_from_world, model_.points.begin()->second.position);
   for (int i = 0; i < 3; ++i) EXPECT_NEAR(xyz[i], expected[i], 1e-5);
   EXPECT_EQ(uint8_t(ply[body + 14]), 200);
+}
+
+TEST_F(ScenePack, SparseDepthsArePointsOnRaysOfTrainingViewsAlone) {
+  Make(7, 0);
+  const Manifest manifest = Write();
+  const Scene scene = LoadScene(pose_);
+  const std::vector<SparseDepth> depths = LoadSparseDepths(scene, pose_);
+  EXPECT_EQ(depths.size(), 40u * scene.ViewsOf(Split::kTrain).size());
+  EXPECT_EQ(manifest.facts.at("n_depths"), depths.size());
+  const Eigen::Vector3d expected = Apply(scene.scene_from_world, model_.points.begin()->second.position);
+  for (int i = 0; i < 3; ++i) EXPECT_NEAR(depths.front().position[i], expected[i], 1e-5);
+}
+
+TEST(SparseDepths, UncertaintyIsThatOfTwoRaysThatMeet) {
+  // Two views at ±a from the normal of their baseline: σ² = (e D/f)² (tan² a + cot² a)/2.
+  const double a = 0.3, distance = 5, focal_px = 100, error_px = 2;
+  Scene scene;
+  ColmapModel model;
+  ColmapPoint& point = model.points[1];
+  point.error_px = error_px;
+  for (const int side : {-1, 1}) {
+    View view;
+    view.fx = view.fy = focal_px;
+    view.scene_from_camera[3] = side * distance * std::sin(a);
+    view.scene_from_camera[11] = -distance * std::cos(a);
+    point.track.emplace_back(uint32_t(scene.views.size()), 0u);
+    scene.views.push_back(view);
+  }
+  scene.views.push_back(scene.views[0]);
+  scene.views[2].split = Split::kTest;  // sees the point, but fixes nothing
+  scene.views[2].scene_from_camera[3] = 3;
+  point.track.emplace_back(2u, 0u);
+  const auto measure = [&] {
+    return MeasureSparseDepths(model, {{0, 0}, {1, 1}, {2, 2}}, {1, 1, 1}, scene, Eigen::Matrix4d::Identity());
+  };
+  EXPECT_TRUE(measure().empty()) << "uncertain by a quarter of its distance";
+  point.error_px = 0.6;
+  const std::vector<SparseDepth> depths = measure();
+  ASSERT_EQ(depths.size(), 2u);
+  const double expected = 0.6 * distance / focal_px *
+                          std::sqrt((std::pow(std::tan(a), 2) + std::pow(std::tan(a), -2)) / 2);
+  for (const SparseDepth& depth : depths) EXPECT_NEAR(depth.sigma, expected, 1e-6 * expected);
+  point.track.erase(point.track.begin());
+  EXPECT_TRUE(measure().empty()) << "one training view tells no depth";
+}
+
+TEST_F(ScenePack, DamagedDepthsAreNamed) {
+  Make(4, 0);
+  Write();
+  const Scene scene = LoadScene(pose_);
+  const std::string bytes = ReadFile(pose_ / kDepthFile);
+  const auto expect_error = [&](std::string damaged, const std::string& text) {
+    WriteFileAtomically(pose_ / kDepthFile, damaged);
+    try {
+      LoadSparseDepths(scene, pose_);
+      FAIL() << text;
+    } catch (const Error& error) {
+      EXPECT_EQ(error.code(), ExitCode::kCorrupt);
+      EXPECT_THAT(error.what(), HasSubstr(text));
+    }
+  };
+  expect_error(bytes.substr(0, bytes.size() - 3), "ends within a record");
+  const auto with_view = [&](uint32_t view) {
+    std::string damaged = bytes;
+    std::memcpy(damaged.data(), &view, sizeof view);
+    return damaged;
+  };
+  expect_error(with_view(1000), "view 1000 in record 0");
+  expect_error(with_view(uint32_t(scene.ViewsOf(Split::kTest)[0])), "not a training view");
+  std::string damaged = bytes;
+  const float nan = NAN;
+  std::memcpy(damaged.data() + 20 + 4, &nan, sizeof nan);
+  expect_error(damaged, "not finite in record 1");
 }
 
 TEST_F(ScenePack, DecisionsCanBeForced) {

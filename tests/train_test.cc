@@ -11,7 +11,9 @@
 
 #include "model/checkpoint.h"
 #include "model/grid_crop.h"
+#include "model/depth_batch.h"
 #include "model/held_out.h"
+#include "model/losses.h"
 #include "model/schedule.h"
 #include "model/trainer.h"
 #include "model/training.h"
@@ -134,7 +136,7 @@ class TrainTest : public ::testing::Test {
 };
 
 TEST_F(TrainTest, ImprovesOnViewsItHasNotSeen) {
-  Trainer trainer(scene_, pack_, TestPreset(300), {});
+  Trainer trainer(scene_, pack_, {}, TestPreset(300), {});
   const double before = HeldOutPsnr(trainer);
   while (!trainer.Done()) trainer.Step();
   const double after = HeldOutPsnr(trainer);
@@ -146,17 +148,17 @@ TEST_F(TrainTest, ImprovesOnViewsItHasNotSeen) {
 
 TEST_F(TrainTest, StoppedAndResumedGivesTheSameBitsAsNeverStopped) {
   const Preset preset = TestPreset(60);  // the step changes, occupancy is updated and the box shrinks on the way
-  Trainer whole(scene_, pack_, preset, {.seed = 3});
+  Trainer whole(scene_, pack_, {}, preset, {.seed = 3});
   while (!whole.Done()) whole.Step();
   EXPECT_TRUE(whole.state().shrunk);
   for (const int64_t stop : {1, 15, 16, 37}) {
     const TemporaryDirectory out;
     {
-      Trainer first(scene_, pack_, preset, {.seed = 3});
+      Trainer first(scene_, pack_, {}, preset, {.seed = 3});
       while (first.state().step < stop) first.Step();
       SaveCheckpoint(out.path(), first.state(), "settings");
     }
-    Trainer second(scene_, pack_, preset, {.seed = 3});
+    Trainer second(scene_, pack_, {}, preset, {.seed = 3});
     LoadCheckpoint(out.path(), "settings", second.state());
     EXPECT_EQ(second.state().step, stop);
     while (!second.Done()) second.Step();
@@ -167,7 +169,7 @@ TEST_F(TrainTest, StoppedAndResumedGivesTheSameBitsAsNeverStopped) {
 }
 
 TEST_F(TrainTest, AnotherSeedGivesAnotherModel) {
-  Trainer a(scene_, pack_, TestPreset(2), {.seed = 1}), b(scene_, pack_, TestPreset(2), {.seed = 2});
+  Trainer a(scene_, pack_, {}, TestPreset(2), {.seed = 1}), b(scene_, pack_, {}, TestPreset(2), {.seed = 2});
   EXPECT_NE(ModelBytes(a), ModelBytes(b));
 }
 
@@ -180,14 +182,14 @@ TEST_F(TrainTest, HeldOutPixelsChangeNothing) {
   pack << std::string(2 * kSize * kSize * 4, '\x55');
   pack.close();
   const ImagePack other_pack(other.path());
-  Trainer a(scene_, pack_, TestPreset(20), {}), b(scene, other_pack, TestPreset(20), {});
+  Trainer a(scene_, pack_, {}, TestPreset(20), {}), b(scene, other_pack, {}, TestPreset(20), {});
   while (!a.Done()) a.Step();
   while (!b.Done()) b.Step();
   EXPECT_EQ(ModelBytes(a), ModelBytes(b));
 }
 
 TEST_F(TrainTest, ModelReadBackShowsTheSame) {
-  Trainer trainer(scene_, pack_, TestPreset(40), {});
+  Trainer trainer(scene_, pack_, {}, TestPreset(40), {});
   while (!trainer.Done()) trainer.Step();
   const TemporaryDirectory out;
   SaveModel(out.path(), trainer.state(), trainer.EvaluationOptions());
@@ -200,7 +202,7 @@ TEST_F(TrainTest, ModelReadBackShowsTheSame) {
 }
 
 TEST_F(TrainTest, NothingThatIsNotFiniteIsWritten) {
-  Trainer trainer(scene_, pack_, TestPreset(10), {});
+  Trainer trainer(scene_, pack_, {}, TestPreset(10), {});
   trainer.Step();
   const TemporaryDirectory out;
   SaveCheckpoint(out.path(), trainer.state(), "");
@@ -211,7 +213,7 @@ TEST_F(TrainTest, NothingThatIsNotFiniteIsWritten) {
 }
 
 TEST_F(TrainTest, StepsThatAreNotFiniteAreSkippedAndManyInARowEndWithTheEvidence) {
-  Trainer trainer(scene_, pack_, TestPreset(100), {});
+  Trainer trainer(scene_, pack_, {}, TestPreset(100), {});
   trainer.Step();
   {
     const c10::NoGradGuard no_grad;
@@ -231,7 +233,7 @@ TEST_F(TrainTest, StepsThatAreNotFiniteAreSkippedAndManyInARowEndWithTheEvidence
 TEST_F(TrainTest, ACameraThatIsNotFiniteIsRefusedByName) {
   scene_.views[2].scene_from_camera[3] = NAN;
   try {
-    const Trainer trainer(scene_, pack_, TestPreset(10), {});
+    const Trainer trainer(scene_, pack_, {}, TestPreset(10), {});
     FAIL() << "was accepted";
   } catch (const Error& error) {
     EXPECT_EQ(error.code(), ExitCode::kInput);
@@ -240,7 +242,7 @@ TEST_F(TrainTest, ACameraThatIsNotFiniteIsRefusedByName) {
 }
 
 TEST_F(TrainTest, ADamagedOrForeignCheckpointIsRefused) {
-  Trainer trainer(scene_, pack_, TestPreset(10), {});
+  Trainer trainer(scene_, pack_, {}, TestPreset(10), {});
   const TemporaryDirectory out;
   SaveCheckpoint(out.path(), trainer.state(), "these");
   EXPECT_THROW(LoadCheckpoint(out.path(), "those", trainer.state()), Error);
@@ -253,7 +255,7 @@ TEST_F(TrainTest, ADamagedOrForeignCheckpointIsRefused) {
 }
 
 TEST_F(TrainTest, ABudgetOfSecondsEndsTheTraining) {
-  Trainer trainer(scene_, pack_, TestPreset(1'000'000), {.budget_seconds = 0.5});
+  Trainer trainer(scene_, pack_, {}, TestPreset(1'000'000), {.budget_seconds = 0.5});
   while (!trainer.Done()) trainer.Step();
   EXPECT_GE(trainer.state().seconds, 0.5);
   EXPECT_LT(trainer.state().step, 1'000'000);
@@ -337,13 +339,89 @@ TEST(Schedule, RunsFromItsFirstValuesToItsLast) {
 }
 
 TEST(Presets, FewViewsLeaveOutFineLevelsAndKeepTheRatioOfThoseThatStay) {
-  Preset few = MakePreset("small", true), many = few, paper = MakePreset("paper", true);
+  Preset few = MakePreset("small", true), many = few, held = few, paper = MakePreset("paper", true);
+  EXPECT_TRUE(FitDepths(held, 2000, /*unbounded=*/true).needed);
+  EXPECT_TRUE(FitLevelsToViews(held, "small", 9).needed) << "sparse depths hold the surfaces";
+  EXPECT_FALSE(FitDepths(few, 3, /*unbounded=*/true).needed);
+  EXPECT_EQ(few.train.depth_weight, 0);
   EXPECT_FALSE(FitLevelsToViews(few, "small", 9).needed);
   EXPECT_EQ(few.field.max_resolution, 64);
   EXPECT_EQ(few.field.levels, 5);  // 16 … 64 of the eight levels 16 … 256
+  EXPECT_FALSE(FitDepths(many, 50000, /*unbounded=*/false).needed) << "silhouettes do";
   EXPECT_TRUE(FitLevelsToViews(many, "small", 43).needed);
   EXPECT_EQ(many.field, MakePreset("small", true).field);
   EXPECT_TRUE(FitLevelsToViews(paper, "paper", 9).needed);
+}
+
+TEST(Presets, SingleValuesCanBeSetAndWhatCannotBeIsNamed) {
+  Preset preset = MakePreset("small", true);
+  ApplySettings("field.levels=10  train.step_voxels=[10,20] train.step_moments=[0.5] train.lazy_grids=false", preset);
+  EXPECT_EQ(preset.field.levels, 10);
+  EXPECT_EQ(preset.train.step_voxels, (std::vector{10, 20}));
+  EXPECT_FALSE(preset.train.lazy_grids);
+  const Preset before = preset;
+  for (const auto& [setting, text] : std::vector<std::pair<std::string, std::string>>{
+           {"levels=3", "field.KEY=VALUE"},
+           {"field.level=3", "there is no field.level; there are"},
+           {"field.levels=three", "'field.levels=three' cannot be used"},
+           {"field.levels=0", "the preset has 10"},
+           {"train.grid_rate=-1", "rates and epsilon must be positive"},
+           {"train.lazy_grids=1", "the preset has false"},
+           {"train.step_voxels=[1,2,3]", "one entry more"}}) {
+    SCOPED_TRACE(setting);
+    Preset changed = before;
+    try {
+      ApplySettings(setting, changed);
+      FAIL();
+    } catch (const Error& error) {
+      EXPECT_EQ(error.code(), ExitCode::kUsage);
+      EXPECT_THAT(error.what(), HasSubstr(text));
+    }
+  }
+}
+
+TEST(DepthLossTest, IsTheLightThatDoesNotEndAtTheSurface) {
+  const auto kDouble = torch::kDouble;
+  const Tensor weights = at::tensor({0.2, 0.5, 0.1, 0.4}, kDouble).requires_grad_(true);
+  const Tensor t = at::tensor({1., 2., 3., 5.}, kDouble);
+  const Tensor ray = at::tensor({0, 0, 0, 2}, torch::kLong);  // the second of three rays meets nothing
+  const Tensor distance = at::tensor({2., 4., 4.}, kDouble), spread = at::tensor({0.5, 1., 2.}, kDouble);
+  const Tensor loss = DepthLoss(weights, t, ray, distance, spread);
+  const double k[] = {std::exp(-2.), 1, std::exp(-2.), std::exp(-0.125)};
+  EXPECT_NEAR(loss.item<double>(), 1 - (0.2 * k[0] + 0.5 * k[1] + 0.1 * k[2] + 0.4 * k[3]) / 3, 1e-15);
+  loss.backward();
+  for (int i = 0; i < 4; ++i) EXPECT_NEAR(weights.grad()[i].item<double>(), -k[i] / 3, 1e-15);
+}
+
+TEST_F(TrainTest, SparseDepthsBringTheSurfaceToWhereTheyAre) {
+  // Points of the ball on rays of one view's pixels, with the distances of its front.
+  std::vector<SparseDepth> depths;
+  for (const int v : scene_.ViewsOf(Split::kTrain)) {
+    const Mat4& m = scene_.views[v].scene_from_camera;
+    const double norm = std::sqrt(m[3] * m[3] + m[7] * m[7] + m[11] * m[11]);
+    for (const double lean : {-0.6, -0.3, 0., 0.3, 0.6}) {  // on the ball, leaning from the camera's direction
+      SparseDepth depth{uint32_t(v), {}, 0.005F};
+      for (int k = 0; k < 3; ++k)
+        depth.position[k] = float(0.5 * (std::cos(lean) * m[4 * k + 3] / norm + std::sin(lean) * m[4 * k]));
+      depths.push_back(depth);
+    }
+  }
+  const DepthSource source(scene_, depths);
+  const auto missed_light = [&](double weight) {
+    Preset preset = TestPreset(150);
+    preset.train.depth_weight = weight;
+    Trainer trainer(scene_, pack_, depths, preset, {});
+    while (!trainer.Done()) trainer.Step();
+    const c10::NoGradGuard no_grad;
+    const TrainState& state = trainer.state();
+    const RenderOptions options = trainer.EvaluationOptions();
+    const DepthSource::Batch batch = source.Draw(256, 5, 0, state.map, options.step);
+    const Samples samples = MarchRays(state.occupancy, state.map, batch.rays, options);
+    const Visibility visibility = MeasureVisibility(state.field, samples, options.stop_transmittance);
+    return DepthLoss(visibility.weights, samples.t, samples.ray_index, batch.distance, batch.spread).item<double>();
+  };
+  const double with = missed_light(0.1), without = missed_light(0);
+  EXPECT_LT(with, 0.7 * without) << "with " << with << ", without " << without;
 }
 
 TEST(Presets, EachIsConsistentAndUnknownOnesAreNamed) {

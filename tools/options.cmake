@@ -3,7 +3,6 @@
 add_library(nrff_options INTERFACE)
 target_include_directories(nrff_options INTERFACE ${PROJECT_SOURCE_DIR})
 target_compile_options(nrff_options INTERFACE -Wall -Wextra)
-target_compile_definitions(nrff_options INTERFACE NRFF_VERSION="${PROJECT_VERSION}")
 if(NRFF_SANITIZE)
   target_compile_options(nrff_options INTERFACE -fsanitize=address,undefined -fno-sanitize-recover=undefined -fno-omit-frame-pointer)
   target_link_options(nrff_options INTERFACE -fsanitize=address,undefined)
@@ -12,6 +11,9 @@ if(NRFF_TIDY)
   find_program(CLANG_TIDY clang-tidy REQUIRED)
   set(CMAKE_CXX_CLANG_TIDY ${CLANG_TIDY} --quiet --warnings-as-errors=*)
 endif()
+
+# Only there, so that another version compiles one file anew.
+set_source_files_properties(pipeline/manifest.cc PROPERTIES COMPILE_DEFINITIONS NRFF_VERSION="${PROJECT_VERSION}")
 
 # nrff_artifact and nrff_driver share the folder pipeline/; a stage links the first only.
 set(ARTIFACT_SOURCES
