@@ -105,12 +105,16 @@ void ApplySettings(const std::string& settings, Preset& preset) {
       preset = {json["field"].get<FieldConfig>(), json["train"].get<TrainConfig>()};
       // A number where a truth value stood, or the other way round, would be taken silently.
       if (json[group][key].is_boolean() != before[group][key].is_boolean()) throw std::invalid_argument("wrong type");
-      CheckConfig(preset.field);
-      CheckConfig(preset.train);
     } catch (const std::exception& error) {
       throw UsageError("--set '" + setting + "' cannot be used (" + error.what() + "); the preset has " +
                        before[group][key].dump());
     }
+  }
+  try {
+    CheckConfig(preset.field);
+    CheckConfig(preset.train);
+  } catch (const std::invalid_argument& error) {
+    throw UsageError("--set '" + settings + "' cannot be used: " + error.what());
   }
 }
 

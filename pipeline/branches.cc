@@ -95,7 +95,7 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options) {
       ->type_name("");
   add("--workspace,-w", options.workspace, "DIR", "Where everything goes (default: work/NAME)");
   add("--preset", options.preset, "NAME", "Size of the model and length of the training");
-  add("--set", options.set, "SETTINGS", "Changes of the preset, as 'field.levels=10 train.rays=2048'");
+  add("--set", options.set, "SETTINGS", "Changes of the preset, as 'field.levels=10'");
   auto* budget = add("--budget", options.budget, "TIME", "Train the best model in this time: 90s, 10m, 1h");
   add("--steps", options.steps, "N", "Training steps; not with --budget")->check(CheckPositive)->excludes(budget);
   add("--max-image-size", options.max_image_size, "PX", "Shrink photos whose longer side is larger")
@@ -103,8 +103,8 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options) {
   const auto add_forced = [&](const char* name, std::vector<std::string>& features, const char* text) {
     command.add_option(name, features, text)->type_name("FEATURE")->allow_extra_args(false)->check(CheckFeature);
   };
-  add_forced("--need", options.need, "Use this, whatever the capture's facts say (see `nrff plan`)");
-  add_forced("--leave-out", options.leave_out, "Leave this out, likewise; both can be given several times");
+  add_forced("--need", options.need, "Use what `nrff plan` would leave out");
+  add_forced("--leave-out", options.leave_out, "Leave out what `nrff plan` would use");
   add("--device", options.device, "NAME", "auto, cpu or cuda")->check(CheckDevice);
   add("--threads", options.threads, "N", "Threads of one stage (default: all cores)")->check(CheckPositive);
   add("--seed", options.seed, "N", "Of everything random")->check(CheckWhole);

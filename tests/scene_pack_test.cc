@@ -158,7 +158,8 @@ TEST_F(ScenePack, SparseDepthsArePointsOnRaysOfTrainingViewsAlone) {
   const Manifest manifest = Write();
   const Scene scene = LoadScene(pose_);
   const std::vector<SparseDepth> depths = LoadSparseDepths(scene, pose_);
-  EXPECT_EQ(depths.size(), 40u * scene.ViewsOf(Split::kTrain).size());
+  EXPECT_GT(depths.size(), 35u * scene.ViewsOf(Split::kTrain).size());  // of 40; a few are seen at too small an angle
+  EXPECT_LE(depths.size(), 40u * scene.ViewsOf(Split::kTrain).size());
   EXPECT_EQ(manifest.facts.at("n_depths"), depths.size());
   const Eigen::Vector3d expected = Apply(scene.scene_from_world, model_.points.begin()->second.position);
   for (int i = 0; i < 3; ++i) EXPECT_NEAR(depths.front().position[i], expected[i], 1e-5);
@@ -166,7 +167,7 @@ TEST_F(ScenePack, SparseDepthsArePointsOnRaysOfTrainingViewsAlone) {
 
 TEST(SparseDepths, UncertaintyIsThatOfTwoRaysThatMeet) {
   // Two views at ±a from the normal of their baseline: σ² = (e D/f)² (tan² a + cot² a)/2.
-  const double a = 0.3, distance = 5, focal_px = 100, error_px = 2;
+  const double a = 0.3, distance = 5, focal_px = 100, error_px = 3;
   Scene scene;
   ColmapModel model;
   ColmapPoint& point = model.points[1];
@@ -186,7 +187,7 @@ TEST(SparseDepths, UncertaintyIsThatOfTwoRaysThatMeet) {
   const auto measure = [&] {
     return MeasureSparseDepths(model, {{0, 0}, {1, 1}, {2, 2}}, {1, 1, 1}, scene, Eigen::Matrix4d::Identity());
   };
-  EXPECT_TRUE(measure().empty()) << "uncertain by a quarter of its distance";
+  EXPECT_TRUE(measure().empty()) << "uncertain by 7 % of its distance";
   point.error_px = 0.6;
   const std::vector<SparseDepth> depths = measure();
   ASSERT_EQ(depths.size(), 2u);

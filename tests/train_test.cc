@@ -94,6 +94,7 @@ Scene WriteBallScene(const std::filesystem::path& dir) {
   }
   pack.close();
   SaveScene(scene, dir);
+  SaveSparseDepths({}, dir);
   return scene;
 }
 
@@ -364,7 +365,7 @@ TEST(Presets, SingleValuesCanBeSetAndWhatCannotBeIsNamed) {
            {"levels=3", "field.KEY=VALUE"},
            {"field.level=3", "there is no field.level; there are"},
            {"field.levels=three", "'field.levels=three' cannot be used"},
-           {"field.levels=0", "the preset has 10"},
+           {"field.levels=0", "grid layout"},
            {"train.grid_rate=-1", "rates and epsilon must be positive"},
            {"train.lazy_grids=1", "the preset has false"},
            {"train.step_voxels=[1,2,3]", "one entry more"}}) {
