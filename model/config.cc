@@ -163,7 +163,7 @@ Preset SmallPreset(bool unbounded) {
   train.occupancy_threshold = 0.01;
   train.occupancy_decay = 0.6;
   train.occupancy_dilate = false;
-  train.occupancy_min_views = 2;
+  train.occupancy_min_views = 1;
   train.shrink_moment = 0.1;
   train.weight_threshold_first = unbounded ? 0.01 : 4e-3;
   train.weight_threshold_last = unbounded ? 0.01 : 1e-3;
