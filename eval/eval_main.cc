@@ -5,8 +5,10 @@
 #include "pipeline/stage.h"
 
 int main(int argc, char** argv) {
-  CLI::App app("Scores rendered held-out views against the photos: PSNR, SSIM, error pictures.\n"
-               "Example: nrff-eval --scene work/fox/pose --renders work/fox/render --out work/fox/eval", "nrff-eval");
+  CLI::App app(
+      "Scores rendered held-out views against the photos: PSNR, SSIM, error pictures.\n"
+      "Example: nrff-eval --scene work/fox/pose --renders work/fox/render --out work/fox/eval",
+      "nrff-eval");
   std::filesystem::path scene, renders, out;
   int n_threads = int(std::max(1u, std::thread::hardware_concurrency()));
   app.add_option("--scene", scene, "Artifact of the pose stage")->required();

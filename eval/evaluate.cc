@@ -36,7 +36,9 @@ struct Score {
 };
 
 // What alpha is composited on. Where a scene names nothing, black: what a pixel without a colour shows.
-Background BehindAlpha(Background background) { return background == Background::kNone ? Background::kBlack : background; }
+Background BehindAlpha(Background background) {
+  return background == Background::kNone ? Background::kBlack : background;
+}
 
 // The view's pixels as RGB; RGBA (straight alpha) over the background, rounded.
 Rgb8Image Composited(const View& view, const uint8_t* pixels, Background background) {
@@ -101,21 +103,25 @@ Score ScoreView(const View& view, const Rgb8Image& truth, const fs::path& render
   const Rgb8Image rendered = ReadRgbPng(rendered_path);
   if (rendered.width != view.width || rendered.height != view.height) {
     throw InputError("Image " + EscapePath(rendered_path) + " is " + std::to_string(rendered.width) + "×" +
-                     std::to_string(rendered.height) + " px but its photo in the scene " +
-                     std::to_string(view.width) + "×" + std::to_string(view.height) +
-                     " px; render the views again from this scene.");
+                     std::to_string(rendered.height) + " px but its photo in the scene " + std::to_string(view.width) +
+                     "×" + std::to_string(view.height) + " px; render the views again from this scene.");
   }
   const RgbImage truth_unit = ToUnitRange(truth), rendered_unit = ToUnitRange(rendered);
   WriteRgbPng(out / "truth" / (view.id + ".png"), truth);
-  WriteRgbPng(out / "error" / (view.id + ".png"),
-              {view.width, view.height, ErrorMap(truth_unit, rendered_unit)});
+  WriteRgbPng(out / "error" / (view.id + ".png"), {view.width, view.height, ErrorMap(truth_unit, rendered_unit)});
   return {Psnr(truth_unit, rendered_unit), Ssim(truth_unit, rendered_unit)};
 }
 
 Json ImageEntry(const View& view, const Score& score, const std::string& rendered_path) {
-  Json entry = {{"id", view.id},         {"name", view.name},           {"width", view.width},
-                {"height", view.height}, {"psnr", score.psnr},          {"ssim", nullptr},
-                {"lpips", nullptr},      {"rendered", rendered_path},   {"truth", "truth/" + view.id + ".png"},
+  Json entry = {{"id", view.id},
+                {"name", view.name},
+                {"width", view.width},
+                {"height", view.height},
+                {"psnr", score.psnr},
+                {"ssim", nullptr},
+                {"lpips", nullptr},
+                {"rendered", rendered_path},
+                {"truth", "truth/" + view.id + ".png"},
                 {"error", "error/" + view.id + ".png"}};
   if (std::isinf(score.psnr)) {
     entry["psnr"] = nullptr;
@@ -193,9 +199,8 @@ void Evaluate(const fs::path& scene_dir, const fs::path& renders_dir, const fs::
   const std::vector<int> held_out = scene.ViewsOf(Split::kTest);
   const std::map<std::string, std::string> rendered_paths = RenderedPaths(renders_dir);
 
-  ArtifactWriter artifact(
-      "eval", out_dir, params,
-      {ArtifactInput(scene_dir, scene_manifest), ArtifactInput(renders_dir, renders_manifest)});
+  ArtifactWriter artifact("eval", out_dir, params,
+                          {ArtifactInput(scene_dir, scene_manifest), ArtifactInput(renders_dir, renders_manifest)});
   fs::create_directories(artifact.dir() / "truth");
   fs::create_directories(artifact.dir() / "error");
 
@@ -222,10 +227,9 @@ void Evaluate(const fs::path& scene_dir, const fs::path& renders_dir, const fs::
   const Json metrics = Means(scores);
   const Json protocol = Protocol(
       scene, held_out, scene_manifest.facts.value("split_rule", std::string("as recorded in the scene's views")));
-  WriteJson(artifact.dir() / "metrics.json", {{"schema_version", kMetricsSchemaVersion},
-                                              {"protocol", protocol},
-                                              {"metrics", metrics},
-                                              {"images", entries}});
+  WriteJson(
+      artifact.dir() / "metrics.json",
+      {{"schema_version", kMetricsSchemaVersion}, {"protocol", protocol}, {"metrics", metrics}, {"images", entries}});
   artifact.facts() = metrics;
   artifact.facts()["protocol"] = protocol;
   artifact.AddDecision(needs::Lpips(""));

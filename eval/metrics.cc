@@ -29,8 +29,8 @@ void CheckImage(const RgbImage& image, const char* what) {
     if (std::isfinite(image.rgb[i])) continue;
     const size_t pixel = i / kChannels;
     throw InputError(std::string("The ") + what + " image holds " + std::to_string(image.rgb[i]) + " at x " +
-                     std::to_string(pixel % image.width) + ", y " + std::to_string(pixel / image.width) +
-                     ", channel " + std::to_string(i % kChannels) + "; only finite values can be compared.");
+                     std::to_string(pixel % image.width) + ", y " + std::to_string(pixel / image.width) + ", channel " +
+                     std::to_string(i % kChannels) + "; only finite values can be compared.");
   }
 }
 

@@ -19,8 +19,8 @@ double Psnr(const RgbImage& truth, const RgbImage& rendered);
 
 // Parameters of SSIM [Wang04], in the variant most papers report: what scikit-image computes with
 // gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=1.
-inline constexpr int kSsimWindow = 11;      // px, square
-inline constexpr double kSsimSigma = 1.5;     // px, of the Gaussian weights
+inline constexpr int kSsimWindow = 11;     // px, square
+inline constexpr double kSsimSigma = 1.5;  // px, of the Gaussian weights
 inline constexpr double kSsimK1 = 0.01, kSsimK2 = 0.03;
 
 // Mean structural similarity over channels and over all pixels whose window lies inside the image ("valid" border).

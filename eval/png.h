@@ -8,8 +8,8 @@
 namespace nrff {
 
 struct Rgb8Image {
-  int width = 0, height = 0;   // px
-  std::vector<uint8_t> rgb;    // [height, width, 3] row-major
+  int width = 0, height = 0;  // px
+  std::vector<uint8_t> rgb;   // [height, width, 3] row-major
 };
 
 // Throws InputError naming the file: absent, damaged, cut short, not three channels of 8 bits.

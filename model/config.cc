@@ -33,10 +33,11 @@ NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(FieldConfig, levels, base_resolution, max_res
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(TrainConfig, steps, rays, max_rays, target_shaded, grid_rate, network_rate,
                                    final_rate, beta1, beta2, epsilon, lazy_grids, reset_with_step, orientation_weight,
                                    density_l1_weight, density_l1_weight_later, sparsity_weight, depth_weight,
-                                   depth_rays, step_voxels, step_moments, step_ratio, occupancy_resolution, occupancy_moments,
-                                   occupancy_interval, occupancy_cells, occupancy_threshold, occupancy_decay,
-                                   occupancy_dilate, occupancy_min_views, shrink_moment, weight_threshold_first,
-                                   weight_threshold_last, weight_threshold_moment, unknown_background)
+                                   depth_rays, step_voxels, step_moments, step_ratio, occupancy_resolution,
+                                   occupancy_moments, occupancy_interval, occupancy_cells, occupancy_threshold,
+                                   occupancy_decay, occupancy_dilate, occupancy_min_views, shrink_moment,
+                                   weight_threshold_first, weight_threshold_last, weight_threshold_moment,
+                                   unknown_background)
 
 Json ToJson(const FieldConfig& config) { return config; }
 Json ToJson(const TrainConfig& config) { return config; }
@@ -210,8 +211,9 @@ Decision FitDepths(Preset& preset, size_t n_depths, bool unbounded, std::optiona
 Decision FitLevelsToViews(Preset& preset, const std::string& name, int n_train_views, std::optional<bool> forced) {
   FieldConfig& field = preset.field;
   const bool as_published = name == "paper" && !forced;
-  const int wanted =
-      as_published ? field.max_resolution : std::min(field.max_resolution, needs::FinestResolution(n_train_views, preset.train.depth_weight > 0));
+  const int wanted = as_published ? field.max_resolution
+                                  : std::min(field.max_resolution,
+                                             needs::FinestResolution(n_train_views, preset.train.depth_weight > 0));
   Decision decision = needs::FineLevels(n_train_views, field.max_resolution, wanted);
   Force(decision, forced);
   if (decision.needed) return decision;

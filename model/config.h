@@ -98,8 +98,9 @@ inline constexpr const char* kPresetNames[] = {"paper", "small", "tiny"};
 // Throws UsageError listing the presets when there is none of that name.
 Preset MakePreset(const std::string& name, bool unbounded);
 
-// Changes single values of a preset: "field.KEY=VALUE" and "train.KEY=VALUE", separated by blanks, VALUE as JSON without
-// blanks. Throws UsageError naming the setting when there is no such key, or the value is of another type or impossible.
+// Changes single values of a preset: "field.KEY=VALUE" and "train.KEY=VALUE", separated by blanks, VALUE as JSON
+// without blanks. Throws UsageError naming the setting when there is no such key, or the value is of another type or
+// impossible.
 void ApplySettings(const std::string& settings, Preset& preset);
 
 // Sets depth_weight to 0 where the depths are not needed; says what was decided.

@@ -134,8 +134,8 @@ void Trainer::FollowSchedule(double progress) {
 }
 
 Tensor Trainer::DepthTerm(const RenderOptions& colour_options) {
-  const DepthSource::Batch batch = depths_.Draw(preset_.train.depth_rays, options_.seed, uint64_t(state_.step),
-                                                state_.map, colour_options.step);
+  const DepthSource::Batch batch =
+      depths_.Draw(preset_.train.depth_rays, options_.seed, uint64_t(state_.step), state_.map, colour_options.step);
   RenderOptions options = colour_options;
   options.jitter_purpose = RandomStream::kDepthJitter;
   const Samples samples = MarchRays(state_.occupancy, state_.map, batch.rays, options);

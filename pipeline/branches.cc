@@ -171,7 +171,9 @@ Json ProbeCapture(Executor& executor, const BranchRequest& request) {
 }
 
 fs::path CommonFolder(const std::vector<Workspace>& workspaces) {
-  const auto folder = [](const Workspace& workspace) { return fs::absolute(workspace.root()).lexically_normal().parent_path(); };
+  const auto folder = [](const Workspace& workspace) {
+    return fs::absolute(workspace.root()).lexically_normal().parent_path();
+  };
   for (const Workspace& workspace : workspaces) {
     if (folder(workspace) == folder(workspaces.front())) continue;
     throw UsageError(EscapePath(workspaces.front().root()) + " and " + EscapePath(workspace.root()) +

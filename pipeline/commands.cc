@@ -20,10 +20,14 @@ bool IsWhole(const std::string& text) {
 
 double SecondsOf(char unit) {
   switch (unit) {
-    case 's': return 1;
-    case 'm': return 60;
-    case 'h': return 3600;
-    default: return 0;
+    case 's':
+      return 1;
+    case 'm':
+      return 60;
+    case 'h':
+      return 3600;
+    default:
+      return 0;
   }
 }
 

@@ -29,9 +29,7 @@ double ParseDuration(const std::string& text, const std::string& option);
 // What every sub-command shares.
 struct OutputOptions {
   bool quiet = false, verbose = false, json = false;
-  Verbosity verbosity() const {
-    return quiet ? Verbosity::kQuiet : verbose ? Verbosity::kVerbose : Verbosity::kNormal;
-  }
+  Verbosity verbosity() const { return quiet ? Verbosity::kQuiet : verbose ? Verbosity::kVerbose : Verbosity::kNormal; }
 };
 void AddVerbosityOptions(CLI::App& command, OutputOptions& output);
 void AddJsonOption(CLI::App& command, OutputOptions& output);

@@ -24,15 +24,22 @@ struct RenderOptions {
 };
 
 // The path's name: the kind itself, or the file's.
-std::string PathName(const std::string& path) { return path == "orbit" || path == "spiral" ? path : fs::path(path).stem().string(); }
+std::string PathName(const std::string& path) {
+  return path == "orbit" || path == "spiral" ? path : fs::path(path).stem().string();
+}
 
 std::vector<std::string> RenderCommand(const RenderOptions& options, const Workspace& workspace, const fs::path& out) {
   std::vector<std::string> command = {(ExecutableFolder() / "nrff-render").string(),
-                                      "--scene", workspace.Artifact("pose").string(),
-                                      "--model", workspace.Artifact("train").string(),
-                                      "--out", out.string(),
-                                      "--path", options.path,
-                                      "--frames", options.frames,
+                                      "--scene",
+                                      workspace.Artifact("pose").string(),
+                                      "--model",
+                                      workspace.Artifact("train").string(),
+                                      "--out",
+                                      out.string(),
+                                      "--path",
+                                      options.path,
+                                      "--frames",
+                                      options.frames,
                                       "--verbose"};
   const auto add = [&](const char* name, const std::string& value) {
     if (!value.empty()) command.insert(command.end(), {name, value});
@@ -72,12 +79,26 @@ void EncodeMp4(const fs::path& frames, const std::string& fps, const fs::path& m
   fs::path partial = mp4;
   partial += ".partial";
   Job job;
-  job.command = {"ffmpeg",       "-nostdin", "-y",       "-loglevel", "error",
-                 "-framerate",   fps,        "-i",       (frames / "%06d.png").string(),
-                 "-vf",          "crop=trunc(iw/2)*2:trunc(ih/2)*2",
-                 "-c:v",         "libx264",  "-pix_fmt", "yuv420p",
-                 "-movflags",    "+faststart",
-                 "-f",           "mp4",      partial.string()};
+  job.command = {"ffmpeg",
+                 "-nostdin",
+                 "-y",
+                 "-loglevel",
+                 "error",
+                 "-framerate",
+                 fps,
+                 "-i",
+                 (frames / "%06d.png").string(),
+                 "-vf",
+                 "crop=trunc(iw/2)*2:trunc(ih/2)*2",
+                 "-c:v",
+                 "libx264",
+                 "-pix_fmt",
+                 "yuv420p",
+                 "-movflags",
+                 "+faststart",
+                 "-f",
+                 "mp4",
+                 partial.string()};
   job.log = log;
   std::string last_line;
   job.on_line = [&](const std::string& line) { last_line = line; };

@@ -52,8 +52,7 @@ void Run(const BranchOptions& branch, bool dry_run, const OutputOptions& output)
     request.workspace.WriteMarker({request.capture, request.options});
     nodes.push_back(FirstNode(request, machine));
   }
-  const std::vector<BranchResult> results =
-      RunBranches(requests, std::move(nodes), machine, output.verbosity());
+  const std::vector<BranchResult> results = RunBranches(requests, std::move(nodes), machine, output.verbosity());
   ReportFailures(results);
   const bool joint = results.size() > 1 && branch.until.empty();
   const fs::path joint_report = folder / kJointReport;
@@ -61,8 +60,7 @@ void Run(const BranchOptions& branch, bool dry_run, const OutputOptions& output)
   if (output.json) {
     Json captures = Json::array();
     for (const BranchResult& result : results) captures.push_back(ResultToJson(result));
-    PrintJson({{"captures", captures},
-               {"joint_report", joint ? Json(EscapePath(joint_report)) : Json()}});
+    PrintJson({{"captures", captures}, {"joint_report", joint ? Json(EscapePath(joint_report)) : Json()}});
   } else if (!output.quiet) {
     for (const BranchResult& result : results) PrintResult(result, std::cout);
     if (joint) std::cout << "all together: " << EscapePath(joint_report) << '\n';

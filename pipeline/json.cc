@@ -42,7 +42,8 @@ void CheckSchemaVersion(const Json& value, int supported, const std::string& whe
     throw CorruptError(where + " has schema version " + std::to_string(version) + ", this program reads up to " +
                        std::to_string(supported) + ": update nrff");
   }
-  if (version < 1) throw CorruptError(where + " has schema version " + std::to_string(version) + ", expected 1 or more");
+  if (version < 1)
+    throw CorruptError(where + " has schema version " + std::to_string(version) + ", expected 1 or more");
 }
 
 }  // namespace nrff

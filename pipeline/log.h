@@ -1,4 +1,5 @@
-// Log lines of the stages: to stderr, prefixed by severity; the driver keeps them per stage and shows what it was asked to.
+// Log lines of the stages: to stderr, prefixed by severity; the driver keeps them per stage and shows what it was asked
+// to.
 #pragma once
 
 #include <string>

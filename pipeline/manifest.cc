@@ -30,10 +30,11 @@ std::string CpuName() {
 Json Host() {
   utsname name{};
   uname(&name);
-  return {{"cpu", CpuName()},
-          {"cores", sysconf(_SC_NPROCESSORS_ONLN)},
-          {"memory_bytes", static_cast<uint64_t>(sysconf(_SC_PHYS_PAGES)) * static_cast<uint64_t>(sysconf(_SC_PAGE_SIZE))},
-          {"os", std::string(name.sysname) + " " + name.release}};
+  return {
+      {"cpu", CpuName()},
+      {"cores", sysconf(_SC_NPROCESSORS_ONLN)},
+      {"memory_bytes", static_cast<uint64_t>(sysconf(_SC_PHYS_PAGES)) * static_cast<uint64_t>(sysconf(_SC_PAGE_SIZE))},
+      {"os", std::string(name.sysname) + " " + name.release}};
 }
 
 // Of this process and, as the largest single one, of its children.
@@ -119,7 +120,8 @@ std::string PayloadDamage(const fs::path& artifact_dir, const Manifest& manifest
     const uint64_t size = fs::file_size(artifact_dir / UnescapePath(output.path), error);
     if (error) return "/" + output.path + " is missing";
     if (size != output.size_bytes) {
-      return "/" + output.path + " has " + std::to_string(size) + " bytes instead of " + std::to_string(output.size_bytes);
+      return "/" + output.path + " has " + std::to_string(size) + " bytes instead of " +
+             std::to_string(output.size_bytes);
     }
   }
   return {};
@@ -132,7 +134,8 @@ Manifest RequireArtifact(const fs::path& artifact_dir, const std::string& kind) 
                      "): run the " + kind + " stage first");
   }
   if (manifest->kind != kind) {
-    throw InputError(EscapePath(artifact_dir) + " is an artifact of the stage " + manifest->kind + ", expected one of " + kind);
+    throw InputError(EscapePath(artifact_dir) + " is an artifact of the stage " + manifest->kind +
+                     ", expected one of " + kind);
   }
   const std::string damage = PayloadDamage(artifact_dir, *manifest);
   if (!damage.empty()) {
@@ -148,7 +151,8 @@ HashedPath ArtifactInput(const fs::path& artifact_dir, const Manifest& manifest)
   return {EscapePath(dir.filename()), manifest.ContentHash(), 0};
 }
 
-ArtifactWriter::ArtifactWriter(std::string kind, fs::path out, Params params, std::vector<HashedPath> inputs, Partial partial)
+ArtifactWriter::ArtifactWriter(std::string kind, fs::path out, Params params, std::vector<HashedPath> inputs,
+                               Partial partial)
     : out_(fs::absolute(out).lexically_normal()), start_(std::chrono::steady_clock::now()) {
   if (!out_.has_filename()) out_ = out_.parent_path();
   dir_ = out_.native() + ".partial";

@@ -38,7 +38,8 @@ std::string Format(const char* format, double value) {
 }  // namespace
 
 Decision Sfm(bool poses_given, const std::string& where_from) {
-  return {"sfm", !poses_given, poses_given ? "poses given by " + where_from : "no poses in " + where_from, "poses given",
+  return {"sfm", !poses_given, poses_given ? "poses given by " + where_from : "no poses in " + where_from,
+          "poses given",
           poses_given ? "the capture brings its camera poses" : "camera poses have to be estimated from the photos"};
 }
 
@@ -60,9 +61,11 @@ Decision Contraction(bool box_given, bool has_alpha, std::optional<double> backg
     decision.reason = "the background is masked out";
   } else {
     decision.needed = !background_fraction || *background_fraction >= 0.02;
-    decision.evidence =
-        background_fraction ? Format("%.1f %% of the sparse points lie outside the box", *background_fraction * 100) : "no box, no alpha channel, no plain background";
-    decision.reason = decision.needed ? "the photos show surroundings that need a place" : "the photos show nothing but the object";
+    decision.evidence = background_fraction
+                            ? Format("%.1f %% of the sparse points lie outside the box", *background_fraction * 100)
+                            : "no box, no alpha channel, no plain background";
+    decision.reason =
+        decision.needed ? "the photos show surroundings that need a place" : "the photos show nothing but the object";
   }
   return decision;
 }
@@ -70,9 +73,10 @@ Decision Contraction(bool box_given, bool has_alpha, std::optional<double> backg
 Decision ExhaustiveMatching(int n_images, bool ordered) {
   // 32 images have 496 pairs, about what sequential matching with an overlap of ten takes for fifty.
   const bool needed = n_images <= 32 || !ordered;
-  return {"exhaustive_matching", needed, std::to_string(n_images) + (ordered ? " photos in capture order" : " photos in no known order"),
+  return {"exhaustive_matching", needed,
+          std::to_string(n_images) + (ordered ? " photos in capture order" : " photos in no known order"),
           "32 photos, or no order",
-          !needed         ? "neighbours in capture order overlap"
+          !needed          ? "neighbours in capture order overlap"
           : n_images <= 32 ? "all pairs of so few are cheap"
                            : "any two photos may overlap"};
 }
@@ -84,7 +88,8 @@ int FinestResolution(int n_train_views, bool sparse_depth) {
 
 Decision FineLevels(int n_train_views, int finest, int wanted) {
   const bool needed = finest <= wanted;
-  return {"fine_levels", needed, std::to_string(n_train_views) + " training views, finest level " + std::to_string(finest),
+  return {"fine_levels", needed,
+          std::to_string(n_train_views) + " training views, finest level " + std::to_string(finest),
           "finest level " + std::to_string(wanted) + " for so many views",
           needed ? "the views settle every level" : "finer levels would learn each view by heart"};
 }
@@ -108,7 +113,9 @@ Decision Lpips(const std::string& network_path) {
 
 Decision Cuda(bool built_with_cuda, int n_gpus) {
   const bool needed = built_with_cuda && n_gpus > 0;
-  return {"cuda", needed, std::to_string(n_gpus) + " usable GPUs, " + (built_with_cuda ? "CUDA kernels built" : "no CUDA kernels in this build"),
+  return {"cuda", needed,
+          std::to_string(n_gpus) + " usable GPUs, " +
+              (built_with_cuda ? "CUDA kernels built" : "no CUDA kernels in this build"),
           "a GPU and CUDA kernels", needed ? "the GPU is faster" : "the CPU kernels do the work"};
 }
 

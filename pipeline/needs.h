@@ -13,7 +13,7 @@
 namespace nrff {
 
 struct Decision {
-  std::string feature;    // "sfm", "undistortion", "contraction", …
+  std::string feature;  // "sfm", "undistortion", "contraction", …
   bool needed = true;
   std::string evidence;   // the measured fact, with its unit
   std::string threshold;  // what the fact was compared with
@@ -35,8 +35,8 @@ Decision Sfm(bool poses_given, const std::string& where_from);
 Decision Undistortion(double largest_displacement_px);
 
 // Contraction of unbounded space is left out when the capture gives a bounding box, is masked (alpha), or was declared
-// bounded. `background_fraction` is the share of sparse points outside the box seen by the cameras; only a capture with a
-// plain background has one, since sky and other smooth surroundings have no points.
+// bounded. `background_fraction` is the share of sparse points outside the box seen by the cameras; only a capture with
+// a plain background has one, since sky and other smooth surroundings have no points.
 Decision Contraction(bool box_given, bool has_alpha, std::optional<double> background_fraction);
 
 // All pairs are matched when there are few; beyond that, neighbours in capture order (with loop closure) are enough if
@@ -45,8 +45,8 @@ Decision ExhaustiveMatching(int n_images, bool ordered);
 
 // The finest grid resolution that training settles. Few views leave finer cells to be learnt by heart, view by view,
 // unless sparse depths hold the surfaces in place. Measured on training views held out: without depths, eight views of
-// sceaux_castle, 500 steps: 64 shows the ninth at 18.3 dB, 128 at 17.9, 256 at 16.4. With depths, 60 s on one core, 64 →
-// 256: castle 20.3 → 19.8 dB, kermit 14.9 → 16.4, ET 14.9 → 15.7. The bounds of 16 and 32 views are not measured.
+// sceaux_castle, 500 steps: 64 shows the ninth at 18.3 dB, 128 at 17.9, 256 at 16.4. With depths, 60 s on one core, 64
+// → 256: castle 20.3 → 19.8 dB, kermit 14.9 → 16.4, ET 14.9 → 15.7. The bounds of 16 and 32 views are not measured.
 int FinestResolution(int n_train_views, bool sparse_depth);
 
 // Grid levels finer than `wanted` are left out where the preset's `finest` is beyond it.

@@ -38,9 +38,12 @@ std::vector<Decision> KnownDecisions(Graph& graph, const BranchPlan& plan) {
 
 const char* StateText(Verdict::State state) {
   switch (state) {
-    case Verdict::kFresh: return "reuse";
-    case Verdict::kStale: return "run";
-    case Verdict::kUndecided: return "decide";
+    case Verdict::kFresh:
+      return "reuse";
+    case Verdict::kStale:
+      return "run";
+    case Verdict::kUndecided:
+      return "decide";
   }
   return "";
 }

@@ -87,8 +87,8 @@ void WriteJointReport(const fs::path& folder, const std::vector<fs::path>& works
   fs::create_directories(out, error);
   if (error) throw ResourceError("Folder " + EscapePath(out) + " cannot be made (" + error.message() + ").");
   WriteJson(out / "summary.json", {{"schema_version", kJointSummarySchemaVersion}, {"captures", captures}});
-  WriteFileAtomically(out / "report.html", FillPage("joint.html", std::to_string(workspaces.size()) + " captures",
-                                                    {{"captures", shown}}));
+  WriteFileAtomically(out / "report.html",
+                      FillPage("joint.html", std::to_string(workspaces.size()) + " captures", {{"captures", shown}}));
 }
 
 }  // namespace nrff

@@ -122,10 +122,11 @@ Json Pictures(const WorkspaceState& state, const Json& images) {
   if (!FitsWhole(images, files) && images.size() > 3) {
     const std::vector<size_t> order = ByPsnr(images);
     shown = {order.front(), order[order.size() / 2], order.back()};
-    note = fmt::format("Pictures of 3 of {} views, to keep this page small: the worst, the median and the best by "
-                       "PSNR. The table has the figures of all; their pictures are in the workspace's render and eval "
-                       "folders.",
-                       images.size());
+    note = fmt::format(
+        "Pictures of 3 of {} views, to keep this page small: the worst, the median and the best by "
+        "PSNR. The table has the figures of all; their pictures are in the workspace's render and eval "
+        "folders.",
+        images.size());
   }
   Json views = Json::array();
   for (size_t i : shown) {

@@ -1,5 +1,5 @@
-// Self-contained HTML pages from the templates in pipeline/report_page/, which are put into the program when it is built
-// (tools/embed.cmake).
+// Self-contained HTML pages from the templates in pipeline/report_page/, which are put into the program when it is
+// built (tools/embed.cmake).
 #pragma once
 
 #include <string>

@@ -159,7 +159,9 @@ Json Summarise(const WorkspaceState& state) {
   const bool complete = stages.size() == state.stages.size();
   return {{"schema_version", kSummarySchemaVersion},
           {"name", state.name},
-          {"status", !failure.is_null() ? "failed" : complete ? "complete" : "incomplete"},
+          {"status", !failure.is_null() ? "failed"
+                     : complete         ? "complete"
+                                        : "incomplete"},
           {"failure", failure},
           {"metrics", Metrics(state)},
           {"images", Images(state)},

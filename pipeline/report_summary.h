@@ -19,8 +19,8 @@ struct StageState {
 };
 
 struct WorkspaceState {
-  std::filesystem::path root;   // absolute
-  std::string name;             // of the capture
+  std::filesystem::path root;      // absolute
+  std::string name;                // of the capture
   std::vector<StageState> stages;  // that belong to the capture (no sfm when it brings its poses), without the report
 
   const StageState& Stage(const std::string& name) const;

@@ -35,12 +35,12 @@ void WarnOfRegistration(const Json& sfm, const Json& pose, const Json& ingest, J
   }
   const int n_test = Count(ingest, "n_test");
   if (At(pose, "n_views_test").is_number() && Count(pose, "n_views_test") < n_test) {
-    warnings.push_back({{"kind", "held-out photos without a pose"},
-                        {"text", fmt::format("{} of {} held-out photos have no pose: the scores are means over the "
-                                             "other {}.",
-                                             n_test - Count(pose, "n_views_test"), n_test,
-                                             Count(pose, "n_views_test"))},
-                        {"items", Json::array()}});
+    warnings.push_back(
+        {{"kind", "held-out photos without a pose"},
+         {"text", fmt::format("{} of {} held-out photos have no pose: the scores are means over the "
+                              "other {}.",
+                              n_test - Count(pose, "n_views_test"), n_test, Count(pose, "n_views_test"))},
+         {"items", Json::array()}});
   }
   const Json& unregistered = At(pose, "unregistered").is_array() ? At(pose, "unregistered") : At(sfm, "unregistered");
   if (!unregistered.empty()) {
@@ -54,10 +54,10 @@ void WarnOfRegistration(const Json& sfm, const Json& pose, const Json& ingest, J
     for (const Json& model : models) {
       items.push_back(fmt::format("{} photos, {} points", Count(model, "n_images"), Count(model, "n_points")));
     }
-    warnings.push_back({{"kind", "several models"},
-                        {"text", fmt::format("COLMAP found {} models that it could not join; the largest is used.",
-                                             models.size())},
-                        {"items", items}});
+    warnings.push_back(
+        {{"kind", "several models"},
+         {"text", fmt::format("COLMAP found {} models that it could not join; the largest is used.", models.size())},
+         {"items", items}});
   }
 }
 
@@ -74,10 +74,11 @@ Json Warnings(const WorkspaceState& state) {
                         {"items", Json::array()}});
   }
   if (const int n_identical = Count(eval, "n_identical"); n_identical > 0) {
-    warnings.push_back({{"kind", "identical images"},
-                        {"text", fmt::format("{} rendered view{} identical to the photo: infinite PSNR, not in the mean.",
-                                             n_identical, n_identical == 1 ? " is" : "s are")},
-                        {"items", Json::array()}});
+    warnings.push_back(
+        {{"kind", "identical images"},
+         {"text", fmt::format("{} rendered view{} identical to the photo: infinite PSNR, not in the mean.", n_identical,
+                              n_identical == 1 ? " is" : "s are")},
+         {"items", Json::array()}});
   }
   WarnOfRegistration(state.Facts("sfm"), state.Facts("pose"), ingest, warnings);
 
@@ -96,10 +97,10 @@ Json Warnings(const WorkspaceState& state) {
       for (const Json& name : group) names += (names.empty() ? "" : " = ") + Text(name);
       items.push_back(names);
     }
-    warnings.push_back({{"kind", "duplicates"},
-                        {"text", fmt::format("{} group{} of identical photos.", duplicates.size(),
-                                             duplicates.size() == 1 ? "" : "s")},
-                        {"items", items}});
+    warnings.push_back(
+        {{"kind", "duplicates"},
+         {"text", fmt::format("{} group{} of identical photos.", duplicates.size(), duplicates.size() == 1 ? "" : "s")},
+         {"items", items}});
   }
   return warnings;
 }

@@ -15,10 +15,14 @@ namespace {
 
 const char* StateText(Outcome::State state) {
   switch (state) {
-    case Outcome::kReused: return "reused";
-    case Outcome::kRan: return "ran";
-    case Outcome::kFailed: return "failed";
-    case Outcome::kNotRun: return "not run";
+    case Outcome::kReused:
+      return "reused";
+    case Outcome::kRan:
+      return "ran";
+    case Outcome::kFailed:
+      return "failed";
+    case Outcome::kNotRun:
+      return "not run";
   }
   return "";
 }
@@ -56,7 +60,8 @@ std::vector<BranchResult> RunBranches(const std::vector<BranchRequest>& requests
   for (Node& node : nodes) graph.Add(std::move(node));
   std::vector<Outcome> outcomes;
   {
-    Console console(std::cerr, [] { return TerminalColumns(STDERR_FILENO); }, verbosity, workspaces);
+    Console console(
+        std::cerr, [] { return TerminalColumns(STDERR_FILENO); }, verbosity, workspaces);
     LocalExecutor executor([&console] { console.Tick(); });
     outcomes = RunGraph(graph, executor, machine, console);
     if (const int signal = executor.StopSignal(); signal != 0) {
@@ -107,7 +112,8 @@ void PrintResult(const BranchResult& result, std::ostream& out) {
     out << fmt::format("  failed      {}: {}\n", failed->node.stage, failed->outcome.job.error);
   }
   const BranchResult::Stage* report = result.Find("report");
-  if (report != nullptr && report->manifest) out << "  report      " << EscapePath(result.request.workspace.Report()) << '\n';
+  if (report != nullptr && report->manifest)
+    out << "  report      " << EscapePath(result.request.workspace.Report()) << '\n';
 }
 
 Json ResultToJson(const BranchResult& result) {

@@ -23,8 +23,8 @@ struct BranchResult {
   const Stage* FirstFailed() const;  // nullptr: none
 };
 
-// Runs the graph of these nodes; what happens is shown on stderr and recorded in the workspaces. Throws Error with exit code
-// 128 + n when signal n stopped the run.
+// Runs the graph of these nodes; what happens is shown on stderr and recorded in the workspaces. Throws Error with exit
+// code 128 + n when signal n stopped the run.
 std::vector<BranchResult> RunBranches(const std::vector<BranchRequest>& requests, std::vector<Node> nodes,
                                       const Machine& machine, Verbosity verbosity);
 

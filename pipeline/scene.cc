@@ -39,14 +39,18 @@ void CheckSimilarity(const Mat4& m, bool rigid, const std::string& where) {
   const auto dot = [](const Vec3& a, const Vec3& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; };
   const Vec3 a = row(0), b = row(1), c = row(2);
   const double scale2 = dot(a, a);
-  const double determinant = a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0]) + a[2] * (b[0] * c[1] - b[1] * c[0]);
+  const double determinant =
+      a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0]) + a[2] * (b[0] * c[1] - b[1] * c[0]);
   constexpr double kTolerance = 1e-5;
   const double largest_skew = std::max({std::abs(dot(a, b)), std::abs(dot(a, c)), std::abs(dot(b, c)),
                                         std::abs(dot(b, b) - scale2), std::abs(dot(c, c) - scale2)});
-  if (!(scale2 > 0) || !(largest_skew <= kTolerance * scale2) || !(determinant > 0) || (rigid && std::abs(scale2 - 1) > kTolerance)) {
-    throw InputError(where + " is not a right-handed " + (rigid ? "rigid transform" : "similarity") + ": run the pose stage again");
+  if (!(scale2 > 0) || !(largest_skew <= kTolerance * scale2) || !(determinant > 0) ||
+      (rigid && std::abs(scale2 - 1) > kTolerance)) {
+    throw InputError(where + " is not a right-handed " + (rigid ? "rigid transform" : "similarity") +
+                     ": run the pose stage again");
   }
-  if (m[12] != 0 || m[13] != 0 || m[14] != 0 || m[15] != 1) throw InputError(where + " does not end with the row 0 0 0 1");
+  if (m[12] != 0 || m[13] != 0 || m[14] != 0 || m[15] != 1)
+    throw InputError(where + " does not end with the row 0 0 0 1");
 }
 
 }  // namespace
@@ -109,7 +113,8 @@ Scene LoadScene(const fs::path& dir) {
   scene.scene_from_world = Get<Mat4>(json, "scene_from_world", where);
   CheckSimilarity(scene.scene_from_world, false, where + ": scene_from_world");
   for (int i = 0; i < 3; ++i) {
-    if (!std::isfinite(scene.aabb_min[i]) || !std::isfinite(scene.aabb_max[i]) || !(scene.aabb_min[i] < scene.aabb_max[i])) {
+    if (!std::isfinite(scene.aabb_min[i]) || !std::isfinite(scene.aabb_max[i]) ||
+        !(scene.aabb_min[i] < scene.aabb_max[i])) {
       throw InputError(where + ": the box is empty or not finite: run the pose stage again");
     }
   }
@@ -138,14 +143,14 @@ Scene LoadScene(const fs::path& dir) {
     CheckSimilarity(view.scene_from_camera, true, view_where + ": scene_from_camera");
     if (!ids.insert(view.id).second) throw CorruptError(view_where + " appears twice");
     if (view.width < 1 || view.height < 1 || (view.channels != 3 && view.channels != 4)) {
-      throw CorruptError(view_where + " is " + std::to_string(view.width) + "×" + std::to_string(view.height) + " with " +
-                         std::to_string(view.channels) + " channels, expected at least 1×1 with 3 or 4");
+      throw CorruptError(view_where + " is " + std::to_string(view.width) + "×" + std::to_string(view.height) +
+                         " with " + std::to_string(view.channels) + " channels, expected at least 1×1 with 3 or 4");
     }
     if (view.pack_offset > pack_bytes || view.PixelBytes() > pack_bytes - view.pack_offset) {
       throw CorruptError(view_where + " lies outside " + kPackFile + " (" + std::to_string(pack_bytes) + " bytes)");
     }
-    if (!(view.fx > 0) || !(view.fy > 0) || !std::isfinite(view.fx) || !std::isfinite(view.fy) || !std::isfinite(view.cx) ||
-        !std::isfinite(view.cy)) {
+    if (!(view.fx > 0) || !(view.fy > 0) || !std::isfinite(view.fx) || !std::isfinite(view.fy) ||
+        !std::isfinite(view.cx) || !std::isfinite(view.cy)) {
       throw InputError(view_where + " has intrinsics that are not finite and positive: run the pose stage again");
     }
     scene.views.push_back(std::move(view));
@@ -191,7 +196,8 @@ ImagePack::ImagePack(const fs::path& dir) {
   void* map = size_ > 0 ? mmap(nullptr, size_, PROT_READ, MAP_SHARED, fd, 0) : nullptr;
   const int map_error = errno;
   close(fd);
-  if (!known || map == MAP_FAILED) throw ResourceError("cannot map " + EscapePath(path) + ": " + std::strerror(map_error));
+  if (!known || map == MAP_FAILED)
+    throw ResourceError("cannot map " + EscapePath(path) + ": " + std::strerror(map_error));
   data_ = static_cast<const uint8_t*>(map);
 }
 

@@ -29,13 +29,18 @@ struct View {
   int width = 0, height = 0;  // px
   int channels = 3;           // 3 RGB, 4 RGBA
   uint64_t pack_offset = 0;   // bytes into images.u8
-  double fx = 0, fy = 0, cx = 0, cy = 0;  // px; principal point in the corner-origin convention (centre of 2×2 px: 1, 1)
-  Mat4 scene_from_camera{};               // rigid
+  double fx = 0, fy = 0, cx = 0,
+         cy = 0;             // px; principal point in the corner-origin convention (centre of 2×2 px: 1, 1)
+  Mat4 scene_from_camera{};  // rigid
 
   uint64_t PixelBytes() const { return uint64_t(width) * height * channels; }
 };
 
-enum class Background { kNone, kWhite, kBlack };  // what an RGBA pixel is composited onto; kNone: the field explains every pixel
+enum class Background {
+  kNone,
+  kWhite,
+  kBlack
+};  // what an RGBA pixel is composited onto; kNone: the field explains every pixel
 
 const char* BackgroundName(Background background);  // "none", "white", "black"
 // json["background"]; throws CorruptError naming `where` when there is none or it is another name.
@@ -57,9 +62,9 @@ struct Scene {
 
 // A triangulated point as one training view sees it: the surface on that ray is there, give or take `sigma`.
 struct SparseDepth {
-  uint32_t view = 0;          // index into Scene::views
-  float position[3] = {};     // scene units
-  float sigma = 0;            // standard deviation of its distance from the camera, scene units, > 0
+  uint32_t view = 0;       // index into Scene::views
+  float position[3] = {};  // scene units
+  float sigma = 0;         // standard deviation of its distance from the camera, scene units, > 0
 };
 static_assert(sizeof(SparseDepth) == 20);
 

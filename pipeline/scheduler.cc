@@ -48,7 +48,8 @@ class Scheduler {
       if (states_[k] != State::kEnded) return false;
       const Outcome::State state = outcomes_[k].state;
       if (state == Outcome::kReused || state == Outcome::kRan) continue;
-      End(i, {Outcome::kNotRun, graph_.nodes()[k].stage + (state == Outcome::kFailed ? " failed" : " was not run"), {}});
+      End(i,
+          {Outcome::kNotRun, graph_.nodes()[k].stage + (state == Outcome::kFailed ? " failed" : " was not run"), {}});
       return true;
     }
     if (executor_.StopSignal() != 0) {

@@ -22,8 +22,11 @@ Params GivenParams(const CLI::App& app) {
 }
 
 void AddVerbosity(CLI::App& app) {
-  auto* quiet = app.add_flag_callback("-q,--quiet", [] { SetVerbosity(Verbosity::kQuiet); }, "Warnings and errors only");
-  app.add_flag_callback("-v,--verbose", [] { SetVerbosity(Verbosity::kVerbose); }, "More detail")->excludes(quiet);
+  auto* quiet = app.add_flag_callback(
+      "-q,--quiet", [] { SetVerbosity(Verbosity::kQuiet); }, "Warnings and errors only");
+  app.add_flag_callback(
+         "-v,--verbose", [] { SetVerbosity(Verbosity::kVerbose); }, "More detail")
+      ->excludes(quiet);
 }
 
 void AddForcedOption(CLI::App& app, const std::string& name, std::optional<bool>& value, const std::string& needed,
@@ -59,8 +62,9 @@ int StageMain(CLI::App& app, int argc, char** argv, const std::function<void()>&
   } catch (const std::bad_alloc&) {
     return fail(ExitCode::kResource, app.get_name() + " ran out of memory: use --max-image-size or a smaller --preset");
   } catch (const std::system_error& error) {  // std::filesystem's, too
-    const bool resource = error.code() == std::errc::no_space_on_device || error.code() == std::errc::read_only_file_system ||
-                          error.code() == std::errc::permission_denied || error.code() == std::errc::too_many_files_open;
+    const bool resource =
+        error.code() == std::errc::no_space_on_device || error.code() == std::errc::read_only_file_system ||
+        error.code() == std::errc::permission_denied || error.code() == std::errc::too_many_files_open;
     return fail(resource ? ExitCode::kResource : ExitCode::kInput, error.what());
   } catch (const std::exception& error) {
     return fail(ExitCode::kResource, app.get_name() + " failed unexpectedly: " + error.what());

@@ -30,8 +30,8 @@ struct BranchRequest {
 // The first node of the branch. It expands into the rest once the capture is known to bring its poses or not.
 Node FirstNode(const BranchRequest& request, const Machine& machine);
 
-// The branch of an ended pipeline: `stages` run whatever they are, those before them are taken as they are. `posed`: what
-// ingest found.
+// The branch of an ended pipeline: `stages` run whatever they are, those before them are taken as they are. `posed`:
+// what ingest found.
 std::vector<Node> BranchToRunAgain(const BranchRequest& request, const Machine& machine, bool posed,
                                    const std::vector<std::string>& stages);
 

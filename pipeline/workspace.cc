@@ -150,7 +150,8 @@ fs::path CapturePath(const fs::path& given) {
 
 std::string CaptureName(const fs::path& capture) {
   std::string safe = EscapePath(CaptureFolderName(capture));
-  std::replace_if(safe.begin(), safe.end(), [](char c) { return std::strchr(" %/\\:*?\"'<>|", c) != nullptr; }, '_');
+  std::replace_if(
+      safe.begin(), safe.end(), [](char c) { return std::strchr(" %/\\:*?\"'<>|", c) != nullptr; }, '_');
   safe.erase(0, safe.find_first_not_of(".-"));
   return safe.empty() ? "capture" : safe;
 }

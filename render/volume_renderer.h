@@ -31,11 +31,11 @@ struct Rays {
 Rays RaysThroughPixels(const std::vector<View>& views, const torch::Tensor& pixels, torch::Dtype type);
 
 struct RenderOptions {
-  double step = 0.01;               // marching step = delta of every sample: scene units; contracted units if unbounded
-  double near = 0.05, far = 6;      // scene units along the ray
-  double weight_threshold = 1e-4;   // samples with w ≤ this are not shaded: colour error ≤ Σ of the weights left out
-  double stop_transmittance = 1e-4; // a ray ends when T falls below; exact for the set w > threshold when ≤ it
-  double background = 1;            // grey level behind everything
+  double step = 0.01;              // marching step = delta of every sample: scene units; contracted units if unbounded
+  double near = 0.05, far = 6;     // scene units along the ray
+  double weight_threshold = 1e-4;  // samples with w ≤ this are not shaded: colour error ≤ Σ of the weights left out
+  double stop_transmittance = 1e-4;  // a ray ends when T falls below; exact for the set w > threshold when ≤ it
+  double background = 1;             // grey level behind everything
   // Jitter of the first sample of every ray, from the stream (seed, jitter_purpose at counter); none when not given.
   std::optional<std::pair<uint64_t, uint64_t>> jitter;
   RandomStream jitter_purpose = RandomStream::kRayJitter;

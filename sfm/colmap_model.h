@@ -17,14 +17,14 @@ namespace nrff {
 
 // COLMAP's camera models, with its numbering (src/base/camera_models.h of 3.8).
 enum class CameraModel : int {
-  kSimplePinhole = 0,  // f, cx, cy
-  kPinhole = 1,        // fx, fy, cx, cy
-  kSimpleRadial = 2,   // f, cx, cy, k
-  kRadial = 3,         // f, cx, cy, k1, k2
-  kOpenCV = 4,         // fx, fy, cx, cy, k1, k2, p1, p2
-  kOpenCVFisheye = 5,  // fx, fy, cx, cy, k1, k2, k3, k4
-  kFullOpenCV = 6,     // fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6
-  kFov = 7,            // fx, fy, cx, cy, omega
+  kSimplePinhole = 0,        // f, cx, cy
+  kPinhole = 1,              // fx, fy, cx, cy
+  kSimpleRadial = 2,         // f, cx, cy, k
+  kRadial = 3,               // f, cx, cy, k1, k2
+  kOpenCV = 4,               // fx, fy, cx, cy, k1, k2, p1, p2
+  kOpenCVFisheye = 5,        // fx, fy, cx, cy, k1, k2, k3, k4
+  kFullOpenCV = 6,           // fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6
+  kFov = 7,                  // fx, fy, cx, cy, omega
   kSimpleRadialFisheye = 8,  // f, cx, cy, k
   kRadialFisheye = 9,        // f, cx, cy, k1, k2
   kThinPrismFisheye = 10,    // fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, sx1, sy1
@@ -41,8 +41,8 @@ struct ColmapCamera {
 };
 
 struct ColmapObservation {
-  double x = 0, y = 0;     // px
-  int64_t point_id = -1;   // -1: no 3D point
+  double x = 0, y = 0;    // px
+  int64_t point_id = -1;  // -1: no 3D point
 };
 
 struct ColmapImage {

@@ -16,8 +16,8 @@ namespace nrff {
 // averaging; smaller photos stay as they are. Higher is sharper; figures compare within one capture.
 double MeasureBlur(const Image& image);
 
-// Shares of the pixels of a photo's frame, its outermost 2 % of the shorter side, that are nearly white (no channel below
-// 230) and nearly black (none above 25). A photo of an object before a plain backdrop has a frame of one colour.
+// Shares of the pixels of a photo's frame, its outermost 2 % of the shorter side, that are nearly white (no channel
+// below 230) and nearly black (none above 25). A photo of an object before a plain backdrop has a frame of one colour.
 struct FrameShares {
   double white = 0, black = 0;
 };

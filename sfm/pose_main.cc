@@ -57,7 +57,7 @@ int main(int argc, char** argv) {
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
   nrff::AddForcedOption(*estimate, "--matching", estimation.exhaustive, "exhaustive", "sequential",
-            "Which pairs of photos are matched");
+                        "Which pairs of photos are matched");
 
   CLI::App* normalise = app.add_subcommand("normalise",
                                            "Normalises the poses, undistorts and packs the photos.\nExample: nrff-pose "
@@ -71,8 +71,10 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(16, 65536))
       ->capture_default_str()
       ->group(nrff::kParameterGroup);
-  nrff::AddForcedOption(*normalise, "--undistortion", pose.undistortion, "on", "off", "Resample the photos to pinhole images");
-  nrff::AddForcedOption(*normalise, "--contraction", pose.contraction, "on", "off", "Contract what is outside the foreground box");
+  nrff::AddForcedOption(*normalise, "--undistortion", pose.undistortion, "on", "off",
+                        "Resample the photos to pinhole images");
+  nrff::AddForcedOption(*normalise, "--contraction", pose.contraction, "on", "off",
+                        "Contract what is outside the foreground box");
 
   return nrff::StageMain(app, argc, argv, [&] {
     if (estimate->parsed()) {

@@ -11,7 +11,7 @@ namespace {
 using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
-constexpr double kLeastError_px = 0.5;       // errors of a few residuals can be small by chance
+constexpr double kLeastError_px = 0.5;        // errors of a few residuals can be small by chance
 constexpr double kLargestUncertainty = 0.05;  // of the distance
 
 Vector3d CenterOf(const View& view) {
@@ -20,7 +20,8 @@ Vector3d CenterOf(const View& view) {
 
 }  // namespace
 
-std::vector<SparseDepth> MeasureSparseDepths(const ColmapModel& model, const std::map<uint32_t, uint32_t>& view_of_image,
+std::vector<SparseDepth> MeasureSparseDepths(const ColmapModel& model,
+                                             const std::map<uint32_t, uint32_t>& view_of_image,
                                              const std::vector<double>& error_scale, const Scene& scene,
                                              const Eigen::Matrix4d& scene_from_world) {
   std::vector<SparseDepth> depths;

@@ -16,7 +16,8 @@ namespace nrff {
 // `model`: its images' ids and its points' tracks are used; `view_of_image`: COLMAP image id → index into scene.views;
 // `error_scale`: view px per px of the points' errors, by view. Points that fewer than two training views see, or whose
 // distance is uncertain by more than 5 %, are left out. In order of points, then views.
-std::vector<SparseDepth> MeasureSparseDepths(const ColmapModel& model, const std::map<uint32_t, uint32_t>& view_of_image,
+std::vector<SparseDepth> MeasureSparseDepths(const ColmapModel& model,
+                                             const std::map<uint32_t, uint32_t>& view_of_image,
                                              const std::vector<double>& error_scale, const Scene& scene,
                                              const Eigen::Matrix4d& scene_from_world);
 

@@ -57,12 +57,14 @@ class DriverTest : public ::testing::Test {
     return {environment};
   }
 
-  ProgramResult Nrff(const std::vector<std::string>& arguments, const std::map<std::string, std::string>& environment = {}) {
+  ProgramResult Nrff(const std::vector<std::string>& arguments,
+                     const std::map<std::string, std::string>& environment = {}) {
     return RunProgram(CommandOf(arguments), Options(environment));
   }
 
   // `nrff run fox` with these arguments besides.
-  ProgramResult RunFox(std::vector<std::string> arguments = {}, const std::map<std::string, std::string>& environment = {}) {
+  ProgramResult RunFox(std::vector<std::string> arguments = {},
+                       const std::map<std::string, std::string>& environment = {}) {
     arguments.insert(arguments.begin(), {"run", Path("fox"), "--workspace", Path("work")});
     return Nrff(arguments, environment);
   }
@@ -137,7 +139,8 @@ TEST_F(DriverTest, OptionGoesToItsStageAndMakesThatAndWhatFollowsStale) {
 TEST_F(DriverTest, ForcedDecisionsGoToTheStagesThatMakeThem) {
   RunFox();
   Ran();
-  const ProgramResult forced = RunFox({"--need", "undistortion", "--leave-out", "sparse_depth", "--leave-out", "exhaustive_matching"});
+  const ProgramResult forced =
+      RunFox({"--need", "undistortion", "--leave-out", "sparse_depth", "--leave-out", "exhaustive_matching"});
   EXPECT_EQ(forced.exit_code, 0) << forced.err;
   EXPECT_EQ(ReadManifest(root_ / "work/sfm")->params, (Params{{"matching", "sequential"}}));
   EXPECT_EQ(ReadManifest(root_ / "work/pose")->params, (Params{{"undistortion", "on"}}));
@@ -220,7 +223,8 @@ TEST_F(DriverTest, PlanAndDryRunTellReasonsAndWriteNothing) {
 TEST_F(DriverTest, FailureSaysWhatAndWhereAndIsRemembered) {
   const ProgramResult result = RunFox({}, {{"FAKE_FAIL", "work/train"}});
   EXPECT_EQ(result.exit_code, 3);
-  EXPECT_THAT(result.Errors(), ElementsAre(HasSubstr("train: work/train was told to fail (log: " + Path("work/logs/train.log"))));
+  EXPECT_THAT(result.Errors(),
+              ElementsAre(HasSubstr("train: work/train was told to fail (log: " + Path("work/logs/train.log"))));
   EXPECT_THAT(ReadFile(root_ / "work/logs/train.log"), HasSubstr("was told to fail"));
 
   const ProgramResult status = Nrff({"status", Path("work"), "--json"});
@@ -249,7 +253,7 @@ TEST_F(DriverTest, FailureKeepsWhatWasCompleteBefore) {
 TEST_F(DriverTest, OneCaptureThatFailsDoesNotStopTheOthers) {
   MakeCapture("castle");
   MakeCapture("other/fox");
-  const std::vector<std::string> command = {"run",         Path("fox"),   Path("castle"), Path("other/fox"),
+  const std::vector<std::string> command = {"run",         Path("fox"),  Path("castle"), Path("other/fox"),
                                             "--workspace", Path("work"), "--json"};
   const ProgramResult result = Nrff(command, {{"FAKE_FAIL", "castle/sfm"}});
   EXPECT_EQ(result.exit_code, 3) << result.err;
@@ -427,8 +431,9 @@ TEST(LocalExecutorTest, ProgressLinesAndErrorsComeThroughAndJobsRunAtOnce) {
   double done = 0;
   const auto start = std::chrono::steady_clock::now();
   Job job;
-  job.command = {"sh", "-c",
-                 R"(echo '{"what":"w","done":3,"total":4,"unit":"u","seconds_left":null,"text":""}' >/proc/self/fd/$NRFF_PROGRESS_FD
+  job.command = {
+      "sh", "-c",
+      R"(echo '{"what":"w","done":3,"total":4,"unit":"u","seconds_left":null,"text":""}' >/proc/self/fd/$NRFF_PROGRESS_FD
                     echo nonsense >/proc/self/fd/$NRFF_PROGRESS_FD; echo out; echo 'error: too bad' >&2; sleep 0.5; exit 5)"};
   job.log = directory.path() / "log";
   job.on_line = [&](const std::string& line) { lines.push_back(line); };
@@ -460,7 +465,8 @@ TEST(LocalExecutorTest, ProgressLinesAndErrorsComeThroughAndJobsRunAtOnce) {
 TEST(ProgressViewTest, TerminalKeepsOneBarPerStageBelowTheLines) {
   std::ostringstream out;
   std::chrono::steady_clock::time_point now{};
-  ProgressView view(out, [] { return 80; }, [&] { return now; });
+  ProgressView view(
+      out, [] { return 80; }, [&] { return now; });
   view.Begin("fox/train");
   view.Begin("castle/sfm");
   now += std::chrono::seconds(3);
@@ -480,7 +486,8 @@ TEST(ProgressViewTest, TerminalKeepsOneBarPerStageBelowTheLines) {
 TEST(ProgressViewTest, ElsewhereAPlainLineEveryTenSeconds) {
   std::ostringstream out;
   std::chrono::steady_clock::time_point now{};
-  ProgressView view(out, [] { return 0; }, [&] { return now; });
+  ProgressView view(
+      out, [] { return 0; }, [&] { return now; });
   view.Begin("train");
   for (int second = 0; second < 25; ++second) {
     now += std::chrono::seconds(1);

@@ -95,9 +95,9 @@ TEST(Metrics, AgreeWithScikitImage) {
     int width, height;
     double psnr, ssim;
   };
-  for (const Case& expected : {Case{32, 24, 17.33785089789691, 0.8771529871659801},
-                               Case{11, 11, 16.977513932182276, 0.8902805650663993},
-                               Case{57, 13, 17.481734346542762, 0.9054909708244309}}) {
+  for (const Case& expected :
+       {Case{32, 24, 17.33785089789691, 0.8771529871659801}, Case{11, 11, 16.977513932182276, 0.8902805650663993},
+        Case{57, 13, 17.481734346542762, 0.9054909708244309}}) {
     RgbImage a = Constant(expected.width, expected.height, 0), b = a;
     for (int y = 0, i = 0; y < a.height; ++y) {
       for (int x = 0; x < a.width; ++x) {

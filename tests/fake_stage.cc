@@ -32,9 +32,9 @@ void Note(const std::string& line) {
   if (!path.empty()) std::ofstream(path, std::ios::app) << line << std::endl;
 }
 
-const std::set<std::string> kParams = {"preset",         "steps",        "budget-seconds", "seed",
-                                       "max-image-size", "undistortion", "contraction",    "matching",
-                                       "set",            "fine-levels",  "sparse-depth"};
+const std::set<std::string> kParams = {"preset",       "steps",       "budget-seconds", "seed", "max-image-size",
+                                       "undistortion", "contraction", "matching",       "set",  "fine-levels",
+                                       "sparse-depth"};
 const std::set<std::string> kInputs = {"ingest", "sfm", "scene", "model", "renders"};
 
 }  // namespace
@@ -99,7 +99,8 @@ int main(int argc, char** argv) {
     artifact.AddOutput("rgb");
   }
   artifact.facts() = facts;
-  if (stage == "pose") artifact.AddDecision({"undistortion", false, "largest displacement 0.03 px", "0.1 px", "no lens"});
+  if (stage == "pose")
+    artifact.AddDecision({"undistortion", false, "largest displacement 0.03 px", "0.1 px", "no lens"});
   artifact.Commit();
   progress.Done();
   return 0;

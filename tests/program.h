@@ -25,7 +25,8 @@ struct ProgramResult {
   std::vector<std::string> Errors() const;
 };
 
-// A running program, from when it is constructed. It leads a session of its own, which everything that it starts belongs to.
+// A running program, from when it is constructed. It leads a session of its own, which everything that it starts
+// belongs to.
 class Program {
  public:
   // `command`: a program of the build by name ("nrff-ingest") or a path; arguments may hold any byte.

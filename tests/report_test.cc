@@ -134,8 +134,9 @@ class ReportTest : public testing::Test {
           {"n_parameters", 1000},
           {"seconds_training", 12.5},
           {"settings", {{"levels", 8}}},
-          {"curve", {{{"seconds", 6.0}, {"steps", 60}, {"samples", 2000}, {"psnr", 20.0}, {"train_psnr", 21.0}},
-                     {{"seconds", 12.5}, {"steps", 120}, {"samples", 4500}, {"psnr", 25.0}, {"train_psnr", 27.0}}}}},
+          {"curve",
+           {{{"seconds", 6.0}, {"steps", 60}, {"samples", 2000}, {"psnr", 20.0}, {"train_psnr", 21.0}},
+            {{"seconds", 12.5}, {"steps", 120}, {"samples", 4500}, {"psnr", 25.0}, {"train_psnr", 27.0}}}}},
          {{"model.safetensors", std::string(77, 'm')}}, {}, {{"preset", "quick"}});
   }
 
@@ -147,9 +148,16 @@ class ReportTest : public testing::Test {
       const std::string file = std::to_string(i) + ".png", byte(1, char('A' + i));
       for (const char* layer : {"rgb/", "depth/", "normal/"}) renders[layer + file] = byte;
       for (const char* layer : {"truth/", "error/"}) scores[layer + file] = byte;
-      images.push_back({{"id", std::to_string(i)}, {"name", kAwkwardName}, {"width", side}, {"height", side},
-                        {"psnr", 20 + i}, {"ssim", 0.5}, {"lpips", nullptr}, {"truth", "truth/" + file},
-                        {"rendered", "../render/rgb/" + file}, {"error", "error/" + file}});
+      images.push_back({{"id", std::to_string(i)},
+                        {"name", kAwkwardName},
+                        {"width", side},
+                        {"height", side},
+                        {"psnr", 20 + i},
+                        {"ssim", 0.5},
+                        {"lpips", nullptr},
+                        {"truth", "truth/" + file},
+                        {"rendered", "../render/rgb/" + file},
+                        {"error", "error/" + file}});
     }
     const Json metrics = {{"psnr", 20.5}, {"ssim", 0.5}, {"lpips", nullptr}, {"lpips_reason", "none"}, {"n_images", n}};
     scores["metrics.json"] = Json({{"schema_version", 1}, {"metrics", metrics}, {"images", images}}).dump();

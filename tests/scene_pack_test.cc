@@ -191,8 +191,8 @@ TEST(SparseDepths, UncertaintyIsThatOfTwoRaysThatMeet) {
   point.error_px = 0.6;
   const std::vector<SparseDepth> depths = measure();
   ASSERT_EQ(depths.size(), 2u);
-  const double expected = 0.6 * distance / focal_px *
-                          std::sqrt((std::pow(std::tan(a), 2) + std::pow(std::tan(a), -2)) / 2);
+  const double expected =
+      0.6 * distance / focal_px * std::sqrt((std::pow(std::tan(a), 2) + std::pow(std::tan(a), -2)) / 2);
   for (const SparseDepth& depth : depths) EXPECT_NEAR(depth.sigma, expected, 1e-6 * expected);
   point.track.erase(point.track.begin());
   EXPECT_TRUE(measure().empty()) << "one training view tells no depth";

@@ -10,8 +10,8 @@
 #include <numbers>
 
 #include "model/checkpoint.h"
-#include "model/grid_crop.h"
 #include "model/depth_batch.h"
+#include "model/grid_crop.h"
 #include "model/held_out.h"
 #include "model/losses.h"
 #include "model/schedule.h"
@@ -361,14 +361,14 @@ TEST(Presets, SingleValuesCanBeSetAndWhatCannotBeIsNamed) {
   EXPECT_EQ(preset.train.step_voxels, (std::vector{10, 20}));
   EXPECT_FALSE(preset.train.lazy_grids);
   const Preset before = preset;
-  for (const auto& [setting, text] : std::vector<std::pair<std::string, std::string>>{
-           {"levels=3", "field.KEY=VALUE"},
-           {"field.level=3", "there is no field.level; there are"},
-           {"field.levels=three", "'field.levels=three' cannot be used"},
-           {"field.levels=0", "grid layout"},
-           {"train.grid_rate=-1", "rates and epsilon must be positive"},
-           {"train.lazy_grids=1", "the preset has false"},
-           {"train.step_voxels=[1,2,3]", "one entry more"}}) {
+  for (const auto& [setting, text] :
+       std::vector<std::pair<std::string, std::string>>{{"levels=3", "field.KEY=VALUE"},
+                                                        {"field.level=3", "there is no field.level; there are"},
+                                                        {"field.levels=three", "'field.levels=three' cannot be used"},
+                                                        {"field.levels=0", "grid layout"},
+                                                        {"train.grid_rate=-1", "rates and epsilon must be positive"},
+                                                        {"train.lazy_grids=1", "the preset has false"},
+                                                        {"train.step_voxels=[1,2,3]", "one entry more"}}) {
     SCOPED_TRACE(setting);
     Preset changed = before;
     try {
