@@ -1,13 +1,14 @@
 #!/usr/bin/env bash
 # Installs what is missing, builds, runs all tests.
 #   ./test.sh                 the optimised build
+#   ./test.sh cuda            the same, and the CUDA twins of the kernels (needs the CUDA toolkit)
 #   ./test.sh asan            the same tests under AddressSanitizer and UndefinedBehaviorSanitizer
 #   ./test.sh tidy            clang-tidy over our own code (no tests)
 set -euo pipefail
 cd "$(dirname "$0")"
 preset=${1:-cpu}
-case $preset in cpu) build=build ;; asan) build=build-asan ;; tidy) build=build-tidy ;;
-  *) echo "usage: ./test.sh [cpu|asan|tidy]" >&2; exit 2 ;;
+case $preset in cpu) build=build ;; cuda) build=build-cuda ;; asan) build=build-asan ;; tidy) build=build-tidy ;;
+  *) echo "usage: ./test.sh [cpu|cuda|asan|tidy]" >&2; exit 2 ;;
 esac
 tools/setup.sh
 tools/build.sh "$preset"

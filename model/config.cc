@@ -4,6 +4,7 @@
 #include <cmath>
 #include <sstream>
 #include <stdexcept>
+#include <utility>
 
 #include "model/kernels/feature_grid.h"
 #include "model/kernels/ree.h"
@@ -12,6 +13,7 @@
 namespace nrff {
 namespace {
 
+constexpr double kDepthWeight = 0.1;  // 0.3 and 1 show held-out training views of castle and the example worse
 constexpr char kGelu[] = "gelu";
 constexpr char kRelu[] = "relu";
 
@@ -46,31 +48,59 @@ namespace {
 
 // Throws std::invalid_argument naming what cannot be.
 void CheckConfig(const FieldConfig& config) {
+  constexpr int kMost = 1 << 14;  // beyond any network that fits in memory
+  const std::pair<const char*, int> sizes[] = {{"levels", config.levels},
+                                               {"max_resolution", config.max_resolution},
+                                               {"spatial_layers", config.spatial_layers},
+                                               {"spatial_width", config.spatial_width},
+                                               {"bottleneck_width", config.bottleneck_width},
+                                               {"lobe_row_width", config.lobe_row_width},
+                                               {"directional_layers", config.directional_layers},
+                                               {"directional_width", config.directional_width}};
+  for (const auto& [name, size] : sizes) {
+    if (size < 1 || size > kMost) {
+      throw std::invalid_argument(std::string(name) + " is " + std::to_string(size) + ", expected 1 to " +
+                                  std::to_string(kMost));
+    }
+  }
   MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.density_channels);
   MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.appearance_channels);
   MakeLobes(config.lobes_theta, config.lobes_phi);
-  constexpr int kMost = 1 << 14;  // beyond any network that fits in memory
-  for (const int size : {config.spatial_layers, config.spatial_width, config.bottleneck_width, config.lobe_row_width,
-                         config.directional_layers, config.directional_width, config.max_resolution, config.levels}) {
-    if (size < 1 || size > kMost) throw std::invalid_argument("size " + std::to_string(size));
-  }
 }
 
 void CheckConfig(const TrainConfig& config) {
   const auto check = [](bool holds, const char* what) {
     if (!holds) throw std::invalid_argument(what);
   };
-  check(config.steps > 0 && config.rays > 0 && config.max_rays >= config.rays, "steps and rays must be positive");
+  check(config.steps > 0 && config.rays > 0, "steps and rays must be positive");
+  check(config.max_rays >= config.rays, "max_rays must be at least rays");
   check(config.grid_rate > 0 && config.network_rate > 0 && config.final_rate > 0 && config.epsilon > 0,
         "rates and epsilon must be positive");
   check(config.beta1 >= 0 && config.beta1 < 1 && config.beta2 >= 0 && config.beta2 < 1, "betas lie in [0, 1)");
+  check(config.orientation_weight >= 0 && config.density_l1_weight >= 0 && config.density_l1_weight_later >= 0 &&
+            config.sparsity_weight >= 0 && config.depth_weight >= 0,
+        "weights of losses must not be negative");
   check(config.depth_rays > 0, "depth_rays must be positive");
   check(config.step_ratio > 0 && config.step_voxels.size() == config.step_moments.size() + 1,
         "step_voxels has one entry more than step_moments");
   for (const int voxels : config.step_voxels) check(voxels > 0, "step_voxels must be positive");
   for (const auto& moments : {config.step_moments, config.occupancy_moments})
     check(std::is_sorted(moments.begin(), moments.end()), "moments must ascend");
+  check(config.occupancy_resolution > 0 && config.occupancy_resolution <= 1024 && config.occupancy_resolution % 8 == 0,
+        "occupancy_resolution is a multiple of 8 up to 1024");
   check(config.weight_threshold_first > 0 && config.weight_threshold_last > 0, "weight thresholds must be positive");
+}
+
+// Whether `given` can stand where `had` stands without being converted: 3.7 is no count, 1 no truth value.
+bool SameKind(const Json& had, const Json& given) {
+  if (had.is_array()) {
+    if (!given.is_array()) return false;
+    return std::all_of(given.begin(), given.end(),
+                       [&](const Json& item) { return had.empty() ? item.is_number() : SameKind(had.front(), item); });
+  }
+  if (had.is_number_integer()) return given.is_number_integer();
+  if (had.is_number()) return given.is_number();
+  return had.type() == given.type();
 }
 
 }  // namespace
@@ -100,21 +130,22 @@ void ApplySettings(const std::string& settings, Preset& preset) {
       for (const auto& item : json[group].items()) keys += (keys.empty() ? "" : ", ") + item.key();
       throw UsageError("--set '" + setting + "': there is no " + group + "." + key + "; there are " + keys);
     }
-    const Json before = json;
-    try {
-      json[group][key] = Json::parse(setting.substr(equals + 1));
-      preset = {json["field"].get<FieldConfig>(), json["train"].get<TrainConfig>()};
-      // A number where a truth value stood, or the other way round, would be taken silently.
-      if (json[group][key].is_boolean() != before[group][key].is_boolean()) throw std::invalid_argument("wrong type");
-    } catch (const std::exception& error) {
-      throw UsageError("--set '" + setting + "' cannot be used (" + error.what() + "); the preset has " +
-                       before[group][key].dump());
+    Json& value = json[group][key];
+    const Json given = Json::parse(setting.substr(equals + 1), nullptr, /*allow_exceptions=*/false);
+    if (!SameKind(value, given)) {
+      throw UsageError("--set '" + setting + "' has another kind of value than the preset's " + value.dump());
     }
+    value = given;
   }
   try {
-    CheckConfig(preset.field);
-    CheckConfig(preset.train);
-  } catch (const std::invalid_argument& error) {
+    const Preset changed = {json["field"].get<FieldConfig>(), json["train"].get<TrainConfig>()};
+    if (ToJson(changed.field) != json["field"] || ToJson(changed.train) != json["train"]) {
+      throw std::invalid_argument("a number is too large");
+    }
+    CheckConfig(changed.field);
+    CheckConfig(changed.train);
+    preset = changed;
+  } catch (const std::exception& error) {
     throw UsageError("--set '" + settings + "' cannot be used: " + error.what());
   }
 }
@@ -153,7 +184,7 @@ Preset SmallPreset(bool unbounded) {
   train.density_l1_weight = 0;
   train.density_l1_weight_later = 0;
   train.sparsity_weight = 1e-4;
-  train.depth_weight = 0.1;
+  train.depth_weight = kDepthWeight;
   train.step_voxels = unbounded ? std::vector{24, 48, 96, 192} : std::vector{16, 32, 64, 128};
   train.step_moments = {0.03, 0.06, 0.1};
   train.step_ratio = 1;
@@ -202,21 +233,33 @@ Preset MakePreset(const std::string& name, bool unbounded) {
 }
 
 Decision FitDepths(Preset& preset, size_t n_depths, bool unbounded, std::optional<bool> forced) {
+  if (forced.value_or(false) && n_depths == 0) {
+    throw InputError("sparse depths are asked for, but the scene has none: its poses came without points");
+  }
+  double& weight = preset.train.depth_weight;
   Decision decision = needs::SparseDepth(n_depths, unbounded);
-  if (n_depths > 0) Force(decision, forced);
-  if (!decision.needed) preset.train.depth_weight = 0;
+  if (decision.needed && weight == 0) {
+    decision.needed = false;
+    decision.reason = "the preset gives them no weight";
+  }
+  Force(decision, forced);
+  weight = !decision.needed ? 0 : weight > 0 ? weight : kDepthWeight;
   return decision;
 }
 
 Decision FitLevelsToViews(Preset& preset, const std::string& name, int n_train_views, std::optional<bool> forced) {
   FieldConfig& field = preset.field;
-  const bool as_published = name == "paper" && !forced;
-  const int wanted = as_published ? field.max_resolution
-                                  : std::min(field.max_resolution,
-                                             needs::FinestResolution(n_train_views, preset.train.depth_weight > 0));
-  Decision decision = needs::FineLevels(n_train_views, field.max_resolution, wanted);
+  const bool sparse_depth = preset.train.depth_weight > 0;
+  Decision decision = needs::FineLevels(n_train_views, sparse_depth, field.max_resolution);
+  if (name == "paper" && !decision.needed) {
+    decision.needed = true;
+    decision.reason = "the preset keeps the published levels";
+  }
   Force(decision, forced);
-  if (decision.needed) return decision;
+  if (decision.needed || field.max_resolution == field.base_resolution) return decision;
+  // Forced where facts alone would keep all: what views without depths settle, but at least an octave less.
+  const int settled = needs::FinestResolution(n_train_views, sparse_depth && !forced);
+  const int wanted = std::max(field.base_resolution, std::min(settled, field.max_resolution / 2));
   // Levels keep their ratio: those that stay are as coarse as before.
   const double octaves = std::log2(double(field.max_resolution) / field.base_resolution);
   const double octaves_left = std::log2(double(wanted) / field.base_resolution);

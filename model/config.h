@@ -103,11 +103,12 @@ Preset MakePreset(const std::string& name, bool unbounded);
 // impossible.
 void ApplySettings(const std::string& settings, Preset& preset);
 
-// Sets depth_weight to 0 where the depths are not needed; says what was decided.
+// Sets depth_weight to 0 where the depths are not needed, to a value where they are forced and the preset has none;
+// says what was decided. Throws InputError when they are forced and there are none.
 Decision FitDepths(Preset& preset, size_t n_depths, bool unbounded, std::optional<bool> forced = {});
 
 // Leaves out the grid levels finer than so many training views can settle (needs::FinestResolution); says what was
-// decided. `paper` is left as published. To be called after FitDepths.
+// decided. `paper` keeps the published levels unless forced. To be called after FitDepths.
 Decision FitLevelsToViews(Preset& preset, const std::string& name, int n_train_views, std::optional<bool> forced = {});
 
 }  // namespace nrff

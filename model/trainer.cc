@@ -186,7 +186,8 @@ void Trainer::Step() {
     // Half of the way, so that one unusual batch does not throw it off.
     const double wanted =
         double(state_.n_rays) * double(config.target_shaded) / double(std::max<int64_t>(rendered.n_shaded, 1));
-    state_.n_rays = std::clamp(int64_t(0.5 * (double(state_.n_rays) + wanted)), kFewestRays, int64_t(config.max_rays));
+    state_.n_rays = std::clamp(int64_t(0.5 * (double(state_.n_rays) + wanted)),
+                               std::min(kFewestRays, int64_t(config.max_rays)), int64_t(config.max_rays));
   }
   state_.samples += rendered.n_samples;
   ++state_.step;

@@ -37,10 +37,10 @@ std::string Decibels(double psnr) {
 Preset ChoosePreset(const TrainingRequest& request, const Scene& scene, size_t n_depths,
                     std::vector<Decision>& decisions) {
   Preset preset = MakePreset(request.preset, scene.unbounded);
+  ApplySettings(request.settings, preset);
   const int n_views = int(scene.ViewsOf(Split::kTrain).size());
   decisions.push_back(FitDepths(preset, n_depths, scene.unbounded, request.sparse_depth));
   decisions.push_back(FitLevelsToViews(preset, request.preset, n_views, request.fine_levels));
-  ApplySettings(request.settings, preset);
   if (request.steps > 0) preset.train.steps = request.steps;
   return preset;
 }

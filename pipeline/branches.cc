@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <regex>
 #include <set>
+#include <sstream>
 
 #include "pipeline/commands.h"
 #include "pipeline/error.h"
@@ -32,6 +34,16 @@ constexpr Forceable kForceable[] = {{"exhaustive_matching", "matching", "exhaust
                                     {"contraction", "contraction", "on", "off"},
                                     {"fine_levels", "fine-levels", "on", "off"},
                                     {"sparse_depth", "sparse-depth", "on", "off"}};
+
+// The form alone: what keys there are, the training program knows.
+std::string CheckSettings(const std::string& text) {
+  static const std::regex form(R"((field|train)\.\w+=\S+)");
+  std::istringstream words(text);
+  for (std::string word; words >> word;) {
+    if (!std::regex_match(word, form)) return "'" + word + "' is not of the form field.KEY=VALUE or train.KEY=VALUE";
+  }
+  return {};
+}
 
 std::string CheckFeature(const std::string& text) {
   std::string all;
@@ -95,7 +107,7 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options) {
       ->type_name("");
   add("--workspace,-w", options.workspace, "DIR", "Where everything goes (default: work/NAME)");
   add("--preset", options.preset, "NAME", "Size of the model and length of the training");
-  add("--set", options.set, "SETTINGS", "Changes of the preset, as 'field.levels=10'");
+  add("--set", options.set, "SETTINGS", "Changes of the preset, as 'field.levels=10'")->check(CheckSettings);
   auto* budget = add("--budget", options.budget, "TIME", "Train the best model in this time: 90s, 10m, 1h");
   add("--steps", options.steps, "N", "Training steps; not with --budget")->check(CheckPositive)->excludes(budget);
   add("--max-image-size", options.max_image_size, "PX", "Shrink photos whose longer side is larger")
@@ -154,6 +166,14 @@ std::vector<BranchRequest> MakeBranches(const BranchOptions& options) {
     requests.push_back(std::move(request));
   }
   return requests;
+}
+
+std::optional<bool> ForcedDecision(const BranchRequest& request, const std::string& feature) {
+  for (const Forceable& forceable : kForceable) {
+    const auto given = request.options.find(forceable.option);
+    if (feature == forceable.feature && given != request.options.end()) return given->second == forceable.needed;
+  }
+  return {};
 }
 
 Json ProbeCapture(Executor& executor, const BranchRequest& request) {

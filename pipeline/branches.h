@@ -3,6 +3,7 @@
 
 #include <CLI/CLI.hpp>
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -24,6 +25,9 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options);
 // One request per target. A target that is a workspace stands for its capture with the options of its last run, where
 // none are given now. Nothing is written. Throws UsageError, InputError.
 std::vector<BranchRequest> MakeBranches(const BranchOptions& options);
+
+// What --need and --leave-out say of a feature; nothing where they do not name it.
+std::optional<bool> ForcedDecision(const BranchRequest& request, const std::string& feature);
 
 // What ingest says of a capture without making anything: {"kind", "posed", "n_images", …}. Throws Error with ingest's
 // own sentence and exit code.

@@ -140,6 +140,7 @@ Command AddRunCommand(CLI::App& app) {
   command->footer(
       "Several captures share one run and a joint report; one that fails does not stop\n"
       "the others. Killed at any moment, the same command goes on from what is there.\n"
+      "FEATURE: exhaustive_matching undistortion contraction sparse_depth fine_levels\n"
       "Example: nrff run photos/ --budget 10m");
   return {command, [options] { Run(options->branch, options->dry_run, options->output); }};
 }

@@ -63,7 +63,7 @@ Decision Contraction(bool box_given, bool has_alpha, std::optional<double> backg
     decision.needed = !background_fraction || *background_fraction >= 0.02;
     decision.evidence = background_fraction
                             ? Format("%.1f %% of the sparse points lie outside the box", *background_fraction * 100)
-                            : "no box, no alpha channel, no plain background";
+                            : "no box, no alpha channel, no plain background with points before it";
     decision.reason =
         decision.needed ? "the photos show surroundings that need a place" : "the photos show nothing but the object";
   }
@@ -86,12 +86,16 @@ int FinestResolution(int n_train_views, bool sparse_depth) {
   return n_train_views < 16 ? 64 : 128;
 }
 
-Decision FineLevels(int n_train_views, int finest, int wanted) {
+Decision FineLevels(int n_train_views, bool sparse_depth, int finest) {
+  const int wanted = FinestResolution(n_train_views, sparse_depth);
   const bool needed = finest <= wanted;
   return {"fine_levels", needed,
-          std::to_string(n_train_views) + " training views, finest level " + std::to_string(finest),
-          "finest level " + std::to_string(wanted) + " for so many views",
-          needed ? "the views settle every level" : "finer levels would learn each view by heart"};
+          std::to_string(n_train_views) + " training views " + (sparse_depth ? "with" : "without") +
+              " sparse depths, finest level " + std::to_string(finest),
+          "finest level " + std::to_string(wanted) + " for these",
+          !needed        ? "finer levels would learn each view by heart"
+          : sparse_depth ? "sparse depths hold the surfaces in place"
+                         : "so many views settle every level"};
 }
 
 Decision SparseDepth(size_t n_depths, bool unbounded) {
@@ -111,12 +115,12 @@ Decision Lpips(const std::string& network_path) {
           given ? "the network is there" : "LPIPS is defined by the weights of its network"};
 }
 
-Decision Cuda(bool built_with_cuda, int n_gpus) {
-  const bool needed = built_with_cuda && n_gpus > 0;
+Decision Cuda(bool has_cuda_path, int n_gpus) {
+  const bool needed = has_cuda_path && n_gpus > 0;
   return {"cuda", needed,
           std::to_string(n_gpus) + " usable GPUs, " +
-              (built_with_cuda ? "CUDA kernels built" : "no CUDA kernels in this build"),
-          "a GPU and CUDA kernels", needed ? "the GPU is faster" : "the CPU kernels do the work"};
+              (has_cuda_path ? "training and rendering on CUDA" : "no training or rendering on CUDA in this version"),
+          "a GPU and a CUDA path", needed ? "the GPU is faster" : "the CPU kernels do the work"};
 }
 
 }  // namespace needs

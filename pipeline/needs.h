@@ -49,8 +49,8 @@ Decision ExhaustiveMatching(int n_images, bool ordered);
 // → 256: castle 20.3 → 19.8 dB, kermit 14.9 → 16.4, ET 14.9 → 15.7. The bounds of 16 and 32 views are not measured.
 int FinestResolution(int n_train_views, bool sparse_depth);
 
-// Grid levels finer than `wanted` are left out where the preset's `finest` is beyond it.
-Decision FineLevels(int n_train_views, int finest, int wanted);
+// Grid levels finer than FinestResolution are left out where the preset's `finest` is beyond it.
+Decision FineLevels(int n_train_views, bool sparse_depth, int finest);
 
 // Learning from the depths of sparse points is left out where there are hardly any, and in bounded scenes, whose
 // silhouettes settle the geometry. Measured on training views held out, 60 s on one core, without → with: fox 26.0 →
@@ -60,8 +60,8 @@ Decision SparseDepth(size_t n_depths, bool unbounded);
 // LPIPS is left out when no network file is given.
 Decision Lpips(const std::string& network_path);
 
-// CUDA is left out when there is no usable GPU or the build has no CUDA kernels.
-Decision Cuda(bool built_with_cuda, int n_gpus);
+// CUDA is left out when there is no usable GPU, or this version cannot train and render on one.
+Decision Cuda(bool has_cuda_path, int n_gpus);
 
 }  // namespace needs
 }  // namespace nrff

@@ -27,7 +27,10 @@ void AddDecision(std::vector<Decision>& decisions, const Decision& decision) {
 // What follows from the capture alone, and, of stages that are done, what they decided.
 std::vector<Decision> KnownDecisions(Graph& graph, const BranchPlan& plan) {
   std::vector<Decision> decisions = {needs::Sfm(plan.facts.value("posed", false), plan.facts.value("kind", "capture"))};
-  if (plan.facts.value("has_alpha", false)) decisions.push_back(needs::Contraction(false, true, {}));
+  if (plan.facts.value("has_alpha", false)) {
+    decisions.push_back(needs::Contraction(false, true, {}));
+    Force(decisions.back(), ForcedDecision(plan.request, "contraction"));
+  }
   decisions.push_back(needs::Lpips(""));
   for (size_t i = 0; i < plan.nodes.size(); ++i) {
     if (plan.verdicts[i].state != Verdict::kFresh) continue;

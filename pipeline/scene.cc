@@ -27,7 +27,10 @@ Enum ParseName(const Json& value, const char* key, const char* const (&names)[n]
   for (size_t i = 0; i < n; ++i) {
     if (text == names[i]) return static_cast<Enum>(i);
   }
-  throw CorruptError(where + ": \"" + key + "\" is \"" + text + "\", which this program does not know");
+  std::string known;
+  for (const char* name : names) known += (known.empty() ? "" : ", ") + std::string(name);
+  throw CorruptError(where + ": \"" + key + "\" is \"" + text + "\", expected one of " + known +
+                     ": run the stage that wrote it again");
 }
 
 // Rows of the upper 3×3 orthogonal with one common length > 0, right-handed, all finite, last row 0 0 0 1.
@@ -165,10 +168,11 @@ void SaveSparseDepths(const std::vector<SparseDepth>& depths, const fs::path& di
 
 std::vector<SparseDepth> LoadSparseDepths(const Scene& scene, const fs::path& dir) {
   const fs::path path = dir / kDepthFile;
-  const std::string bytes = ReadFile(path);
   const auto damaged = [&](const std::string& what) {
     return CorruptError(EscapePath(path) + " " + what + ": run the pose stage again");
   };
+  if (!fs::exists(path)) throw damaged("is missing");
+  const std::string bytes = ReadFile(path);
   if (bytes.size() % sizeof(SparseDepth) != 0) throw damaged("ends within a record");
   std::vector<SparseDepth> depths(bytes.size() / sizeof(SparseDepth));
   if (!bytes.empty()) std::memcpy(depths.data(), bytes.data(), bytes.size());
@@ -176,7 +180,7 @@ std::vector<SparseDepth> LoadSparseDepths(const Scene& scene, const fs::path& di
     const SparseDepth& d = depths[i];
     const bool finite = std::isfinite(d.position[0]) && std::isfinite(d.position[1]) && std::isfinite(d.position[2]);
     if (!finite || !(d.sigma > 0) || !std::isfinite(d.sigma)) {
-      throw damaged("has numbers that are not finite in record " + std::to_string(i));
+      throw damaged("has a position or deviation that cannot be in record " + std::to_string(i));
     }
     if (d.view >= scene.views.size() || scene.views[d.view].split != Split::kTrain) {
       throw damaged("names view " + std::to_string(d.view) + " in record " + std::to_string(i) +

@@ -36,11 +36,9 @@ struct View {
   uint64_t PixelBytes() const { return uint64_t(width) * height * channels; }
 };
 
-enum class Background {
-  kNone,
-  kWhite,
-  kBlack
-};  // what an RGBA pixel is composited onto; kNone: the field explains every pixel
+// What is behind everything: RGBA pixels are composited onto it, and photos before a plain backdrop show it. kNone: the
+// field explains every pixel.
+enum class Background { kNone, kWhite, kBlack };
 
 const char* BackgroundName(Background background);  // "none", "white", "black"
 // json["background"]; throws CorruptError naming `where` when there is none or it is another name.
@@ -75,7 +73,8 @@ void SaveScene(const Scene& scene, const std::filesystem::path& dir);
 Scene LoadScene(const std::filesystem::path& dir);
 
 void SaveSparseDepths(const std::vector<SparseDepth>& depths, const std::filesystem::path& dir);
-// Throws CorruptError naming the file when a record is cut off, not finite, or not of a training view of `scene`.
+// Throws CorruptError naming the file when it is missing, a record is cut off, has a position that is not finite or a
+// deviation that is not positive, or is not of a training view of `scene`.
 std::vector<SparseDepth> LoadSparseDepths(const Scene& scene, const std::filesystem::path& dir);
 
 // Read-only memory map of images.u8.

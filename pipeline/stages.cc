@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <string_view>
 
+#include "pipeline/log.h"
+
 namespace nrff {
 namespace {
 
@@ -113,6 +115,9 @@ Node MakeNode(const Stage& stage, const BranchRequest& request, const Machine& m
 }
 
 std::vector<Node> NodesAfterIngest(const BranchRequest& request, const Machine& machine, bool posed) {
+  if (posed && request.options.contains("matching")) {
+    LogWarning(request.name + " brings its poses: no photos are matched, whatever was said of exhaustive_matching");
+  }
   std::vector<Node> nodes;
   const int last = request.until.empty() ? OrderOf(std::string(kReport)) : OrderOf(request.until);
   for (const Stage& stage : Table()) {

@@ -10,7 +10,7 @@
 namespace nrff {
 namespace {
 
-constexpr bool kBuiltWithCuda = false;
+constexpr bool kHasCudaPath = false;
 
 int CountGpus() {
   int n = 0;
@@ -29,10 +29,11 @@ int SetThreads(int n_threads) {
 }
 
 Decision ChooseDevice(const std::string& device) {
-  if (device == "cuda" && !kBuiltWithCuda) {
-    throw ResourceError("--device cuda was asked for, but this build has no CUDA kernels; use --device auto or cpu");
+  if (device == "cuda" && !kHasCudaPath) {
+    throw ResourceError(
+        "--device cuda was asked for, but this version trains and renders on the CPU only; use --device auto or cpu");
   }
-  return needs::Cuda(kBuiltWithCuda, CountGpus());
+  return needs::Cuda(kHasCudaPath, CountGpus());
 }
 
 }  // namespace nrff

@@ -1,16 +1,12 @@
 #include "sfm/ingest.h"
 
 #include <algorithm>
-#include <atomic>
 #include <cmath>
 #include <cstdio>
-#include <exception>
 #include <map>
-#include <mutex>
 #include <set>
 #include <string>
 #include <system_error>
-#include <thread>
 #include <tuple>
 #include <utility>
 #include <vector>
@@ -19,9 +15,9 @@
 #include "pipeline/files.h"
 #include "pipeline/log.h"
 #include "pipeline/needs.h"
-#include "pipeline/progress.h"
 #include "sfm/capture.h"
 #include "sfm/image_measures.h"
+#include "sfm/photo_work.h"
 #include "sfm/recognise.h"
 
 namespace nrff {
@@ -98,35 +94,12 @@ std::map<std::string, const ColmapCamera*> CamerasByPath(const Source& source) {
 std::vector<MeasuredPhoto> MeasureAll(const Source& source, int n_threads) {
   const auto cameras = CamerasByPath(source);
   std::vector<MeasuredPhoto> photos(source.images.size());
-  Progress progress("reading photos", static_cast<double>(photos.size()), "photos");
-  std::atomic<size_t> next = 0;
-  std::mutex mutex;  // progress, failure
-  size_t n_done = 0;
-  std::exception_ptr failure;
-  auto work = [&] {
-    for (size_t i; (i = next++) < photos.size();) {
-      try {
-        photos[i].image.path = source.images[i].path;
-        photos[i].given_split = source.images[i].split;
-        const auto camera = cameras.find(source.images[i].path.native());
-        Measure(source, camera == cameras.end() ? nullptr : camera->second, photos[i]);
-      } catch (...) {
-        const std::lock_guard lock(mutex);
-        failure = std::current_exception();
-        next = photos.size();
-        return;
-      }
-      const std::lock_guard lock(mutex);
-      progress.Update(static_cast<double>(++n_done));
-    }
-  };
-  {
-    std::vector<std::jthread> threads;
-    for (int i = 1; i < n_threads; ++i) threads.emplace_back(work);
-    work();
-  }
-  if (failure) std::rethrow_exception(failure);
-  progress.Done();
+  ForEachPhoto("reading photos", photos.size(), n_threads, [&](size_t i) {
+    photos[i].image.path = source.images[i].path;
+    photos[i].given_split = source.images[i].split;
+    const auto camera = cameras.find(source.images[i].path.native());
+    Measure(source, camera == cameras.end() ? nullptr : camera->second, photos[i]);
+  });
   return photos;
 }
 
@@ -210,11 +183,15 @@ Capture MakeCapture(const Source& source, std::vector<MeasuredPhoto> photos) {
   CheckEnough(source, capture.images.size(), capture.rejected);
   std::vector<Split> splits;
   capture.split_rule = FreezeHoldOut(given, splits);
-  for (size_t i = 0; i < splits.size(); ++i) capture.images[i].split = splits[i];
+  std::vector<FrameShares> training_frames;
+  for (size_t i = 0; i < splits.size(); ++i) {
+    capture.images[i].split = splits[i];
+    if (splits[i] == Split::kTrain) training_frames.push_back(frames[i]);
+  }
   const bool has_alpha = std::any_of(capture.images.begin(), capture.images.end(),
                                      [](const CaptureImage& image) { return image.info.channels == 4; });
   if (capture.background == Background::kNone)
-    capture.background = has_alpha ? Background::kWhite : PlainBackground(frames);
+    capture.background = has_alpha ? Background::kWhite : PlainBackground(training_frames);
   capture.ordered = IsOrdered(paths, timestamps);
   for (const std::vector<int>& group : GroupAlike(looks)) {
     std::vector<std::string>& names = capture.duplicates.emplace_back();

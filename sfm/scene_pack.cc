@@ -189,12 +189,8 @@ ColmapModel PinholeModel(const ColmapModel& model, const std::vector<PosedPhoto>
 std::vector<SparseDepth> SparseDepths(const ColmapModel& pinhole, const std::vector<PosedPhoto>& posed,
                                       const Scene& scene, const Eigen::Matrix4d& scene_from_world) {
   std::map<uint32_t, uint32_t> view_of_image;
-  std::vector<double> error_scale;
-  for (size_t i = 0; i < posed.size(); ++i) {
-    view_of_image[posed[i].image->id] = uint32_t(i);
-    error_scale.push_back(double(scene.views[i].width) / posed[i].photo->info.width);
-  }
-  return MeasureSparseDepths(pinhole, view_of_image, error_scale, scene, scene_from_world);
+  for (size_t i = 0; i < posed.size(); ++i) view_of_image[posed[i].image->id] = uint32_t(i);
+  return MeasureSparseDepths(pinhole, view_of_image, scene, scene_from_world);
 }
 
 void WritePly(const ColmapModel& model, const Eigen::Matrix4d& scene_from_world, const fs::path& file) {

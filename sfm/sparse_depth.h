@@ -1,11 +1,14 @@
 // Depths of sparse points on rays of training views: what SfM already knows of the surfaces.
 //
-// A point's position has the covariance A⁻¹ e², A = Σ (f/D)² (I − d dᵀ) over the training views that see it, with its
-// reprojection error e (px), the views' focal lengths f (px), and its distance D and direction d from them: each view
-// fixes it across its ray. Held-out views tell training nothing: points are taken as the training views alone fix them.
+// A point is triangulated anew from its observations in training views alone, as the position X that minimises
+//   Σ (f/D)² |(I − d dᵀ)(X − C)|²,  squared px, over the views' centres C, rays d, focal lengths f and distances D,
+// and its distance from one of them has the variance e² vᵀ A⁻¹ v with A = Σ (f/D)² (I − d dᵀ), the residual e per
+// degree of freedom, and v the direction to the point: each view fixes it across its ray. What held-out views say of
+// points reaches training only by way of the poses, which SfM estimates from all photos.
 #pragma once
 
 #include <Eigen/Core>
+#include <map>
 #include <vector>
 
 #include "pipeline/scene.h"
@@ -13,12 +16,11 @@
 
 namespace nrff {
 
-// `model`: its images' ids and its points' tracks are used; `view_of_image`: COLMAP image id → index into scene.views;
-// `error_scale`: view px per px of the points' errors, by view. Points that fewer than two training views see, or whose
-// distance is uncertain by more than 5 %, are left out. In order of points, then views.
+// `model`: pinhole cameras, observations in px of the scene's views; `view_of_image`: COLMAP image id → index into
+// scene.views. Left out: points that fewer than two training views see, and what is behind a view, not finite, or
+// uncertain by more than 5 % of its distance. In order of points, then views.
 std::vector<SparseDepth> MeasureSparseDepths(const ColmapModel& model,
-                                             const std::map<uint32_t, uint32_t>& view_of_image,
-                                             const std::vector<double>& error_scale, const Scene& scene,
+                                             const std::map<uint32_t, uint32_t>& view_of_image, const Scene& scene,
                                              const Eigen::Matrix4d& scene_from_world);
 
 }  // namespace nrff

@@ -170,6 +170,17 @@ TEST_F(IngestTest, AlphaMeansAWhiteBackgroundUnlessItIsOpaque) {
   EXPECT_TRUE(manifest_.facts["has_alpha"]);
 }
 
+TEST_F(IngestTest, APlainBackdropOfTheTrainingPhotosIsTheBackground) {
+  WritePhotos(5, "photo_", {.backdrop = 250});
+  EXPECT_EQ(RunIngest().background, Background::kWhite);
+  EXPECT_EQ(manifest_.facts["background"], "white");
+  WritePhoto(root_ / "photo_00.png", {.seed = 77});  // held out: its frame decides nothing
+  EXPECT_EQ(RunIngest().background, Background::kWhite);
+  WritePhotos(4, "photo_", {.backdrop = 128});
+  EXPECT_EQ(RunIngest().background, Background::kNone);
+  EXPECT_EQ(manifest_.facts["background"], "none");
+}
+
 TEST(ImageMeasuresTest, BlurFallsWhenAPhotoIsSmoothed) {
   Image sharp{64, 64, 3, std::vector<uint8_t>(64 * 64 * 3)}, smooth = sharp;
   for (int y = 0; y < 64; ++y) {

@@ -3,6 +3,7 @@
 
 #include <OpenImageIO/imageio.h>
 
+#include <algorithm>
 #include <cstdint>
 #include <filesystem>
 #include <functional>
@@ -19,12 +20,16 @@ struct PhotoOptions {
   int width = 48, height = 32, channels = 3;
   int bit_depth = 8;
   uint32_t seed = 0;    // another texture for every seed
+  int backdrop = -1;    // grey level of the outermost eighth on every side; < 0: texture there too
   uint8_t alpha = 128;  // of the left half, where there is an alpha channel; the right half is opaque
   std::function<void(OIIO::ImageSpec&)> metadata = [](OIIO::ImageSpec&) {};
 };
 
 // A value of the made-up texture: smooth enough for JPEG, different in every quadrant.
 inline uint8_t TextureValue(const PhotoOptions& options, int x, int y, int channel) {
+  const int margin = std::min(options.width, options.height) / 8;
+  const bool outside = x < margin || y < margin || x >= options.width - margin || y >= options.height - margin;
+  if (outside && options.backdrop >= 0) return uint8_t(options.backdrop);
   const uint32_t cell =
       static_cast<uint32_t>((x / 8) * 73856093 ^ (y / 8) * 19349663 ^ channel * 83492791) + options.seed * 2654435761u;
   return static_cast<uint8_t>((cell ^ (cell >> 13)) * 0x9E3779B1u >> 24);

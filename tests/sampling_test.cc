@@ -219,6 +219,7 @@ TEST(SamplingTest, UnboundedStepsAreTheStepInContractedLengthAndReachFar) {
         ASSERT_LT(std::abs(field[k]), 1);
       }
       const double step = args.step * m * m / std::sqrt(speed);
+      ASSERT_NEAR(map.StepAt(scene, d, args.step), step, 1e-12 * step);
       const double next = i + 1 < end ? out.t[i + 1] : args.far;
       ASSERT_LE(next - out.t[i], step * (1 + 1e-9));
       if (i + 1 < end) {

@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/LU>
+#include <optional>
 
 #include "pipeline/scene.h"
 #include "sfm/sparse_depth.h"
@@ -165,37 +166,63 @@ TEST_F(ScenePack, SparseDepthsArePointsOnRaysOfTrainingViewsAlone) {
   for (int i = 0; i < 3; ++i) EXPECT_NEAR(depths.front().position[i], expected[i], 1e-5);
 }
 
-TEST(SparseDepths, UncertaintyIsThatOfTwoRaysThatMeet) {
-  // Two views at ±a from the normal of their baseline: σ² = (e D/f)² (tan² a + cot² a)/2.
-  const double a = 0.3, distance = 5, focal_px = 100, error_px = 3;
+// Two training views `angle` to either side of the normal of their baseline, and one held out, look at a point.
+struct TwoViews {
+  explicit TwoViews(double angle) {
+    const double x[] = {-kDistance * std::sin(angle), kDistance * std::sin(angle), 3};
+    ColmapPoint& point = model.points[1];
+    point.position = {1, 1, 1};  // as COLMAP has it, with the held-out view's help: only a start
+    for (uint32_t i = 0; i < 3; ++i) {
+      View view;
+      view.split = i < 2 ? Split::kTrain : Split::kTest;
+      view.fx = view.fy = kFocal_px;
+      view.cx = 50;
+      view.cy = 40;
+      view.scene_from_camera = {1, 0, 0, x[i], 0, 1, 0, 0, 0, 0, 1, -kDistance * std::cos(angle), 0, 0, 0, 1};
+      scene.views.push_back(view);
+      const double off_px = i < 2 ? 0 : 30;  // the held-out view is wrong about it
+      model.images[i].observations = {{50 - kFocal_px * x[i] / (kDistance * std::cos(angle)) + off_px, 40 + off_px, 1}};
+      point.track.emplace_back(i, 0u);
+    }
+  }
+  std::vector<SparseDepth> Measure() const {
+    return MeasureSparseDepths(model, {{0, 0}, {1, 1}, {2, 2}}, scene, Eigen::Matrix4d::Identity());
+  }
+  static constexpr double kDistance = 5, kFocal_px = 100;
   Scene scene;
   ColmapModel model;
-  ColmapPoint& point = model.points[1];
-  point.error_px = error_px;
-  for (const int side : {-1, 1}) {
-    View view;
-    view.fx = view.fy = focal_px;
-    view.scene_from_camera[3] = side * distance * std::sin(a);
-    view.scene_from_camera[11] = -distance * std::cos(a);
-    point.track.emplace_back(uint32_t(scene.views.size()), 0u);
-    scene.views.push_back(view);
-  }
-  scene.views.push_back(scene.views[0]);
-  scene.views[2].split = Split::kTest;  // sees the point, but fixes nothing
-  scene.views[2].scene_from_camera[3] = 3;
-  point.track.emplace_back(2u, 0u);
-  const auto measure = [&] {
-    return MeasureSparseDepths(model, {{0, 0}, {1, 1}, {2, 2}}, {1, 1, 1}, scene, Eigen::Matrix4d::Identity());
-  };
-  EXPECT_TRUE(measure().empty()) << "uncertain by 7 % of its distance";
-  point.error_px = 0.6;
-  const std::vector<SparseDepth> depths = measure();
+};
+
+TEST(SparseDepths, ArePointsAndUncertaintiesOfTheTrainingRaysAlone) {
+  const double a = 0.3;
+  TwoViews views(a);
+  const std::vector<SparseDepth> depths = views.Measure();
   ASSERT_EQ(depths.size(), 2u);
-  const double expected =
-      0.6 * distance / focal_px * std::sqrt((std::pow(std::tan(a), 2) + std::pow(std::tan(a), -2)) / 2);
-  for (const SparseDepth& depth : depths) EXPECT_NEAR(depth.sigma, expected, 1e-6 * expected);
-  point.track.erase(point.track.begin());
-  EXPECT_TRUE(measure().empty()) << "one training view tells no depth";
+  // e = ½ px at least; σ² = (e D/f)² (tan² a + cot² a)/2
+  const double expected = 0.5 * TwoViews::kDistance / TwoViews::kFocal_px *
+                          std::sqrt((std::pow(std::tan(a), 2) + std::pow(std::tan(a), -2)) / 2);
+  for (const SparseDepth& depth : depths) {
+    EXPECT_NEAR(depth.sigma, expected, 1e-6 * expected);
+    for (const float coordinate : depth.position) EXPECT_NEAR(coordinate, 0, 1e-6);
+  }
+  views.model.points[1].track.erase(views.model.points[1].track.begin());
+  EXPECT_TRUE(views.Measure().empty()) << "one training view tells no depth";
+}
+
+TEST(SparseDepths, ResidualsRaiseTheUncertainty) {
+  TwoViews views(0.3);
+  const float sigma = views.Measure().at(0).sigma;
+  // Both rays miss the point by 2 px up and down: 8 squared px on one degree of freedom, √8 px instead of ½.
+  views.model.images[0].observations[0].y += 2;
+  views.model.images[1].observations[0].y -= 2;
+  EXPECT_NEAR(views.Measure().at(0).sigma / sigma, std::sqrt(8.) / 0.5, 0.01 * std::sqrt(8.) / 0.5);
+}
+
+TEST(SparseDepths, RaysThatHardlyCrossOrCrossBehindTellNothing) {
+  EXPECT_TRUE(TwoViews(0.05).Measure().empty()) << "uncertain by 7 % of the distance";
+  TwoViews views(0.3);
+  std::swap(views.model.images[0].observations, views.model.images[1].observations);
+  EXPECT_TRUE(views.Measure().empty()) << "the rays part";
 }
 
 TEST_F(ScenePack, DamagedDepthsAreNamed) {
@@ -203,8 +230,9 @@ TEST_F(ScenePack, DamagedDepthsAreNamed) {
   Write();
   const Scene scene = LoadScene(pose_);
   const std::string bytes = ReadFile(pose_ / kDepthFile);
-  const auto expect_error = [&](std::string damaged, const std::string& text) {
-    WriteFileAtomically(pose_ / kDepthFile, damaged);
+  const auto expect_error = [&](const std::optional<std::string>& damaged, const std::string& text) {
+    fs::remove(pose_ / kDepthFile);
+    if (damaged) WriteFileAtomically(pose_ / kDepthFile, *damaged);
     try {
       LoadSparseDepths(scene, pose_);
       FAIL() << text;
@@ -213,6 +241,7 @@ TEST_F(ScenePack, DamagedDepthsAreNamed) {
       EXPECT_THAT(error.what(), HasSubstr(text));
     }
   };
+  expect_error({}, "is missing");
   expect_error(bytes.substr(0, bytes.size() - 3), "ends within a record");
   const auto with_view = [&](uint32_t view) {
     std::string damaged = bytes;
@@ -224,7 +253,7 @@ TEST_F(ScenePack, DamagedDepthsAreNamed) {
   std::string damaged = bytes;
   const float nan = NAN;
   std::memcpy(damaged.data() + 20 + 4, &nan, sizeof nan);
-  expect_error(damaged, "not finite in record 1");
+  expect_error(damaged, "cannot be in record 1");
 }
 
 TEST_F(ScenePack, DecisionsCanBeForced) {

@@ -98,6 +98,22 @@ Scene WriteBallScene(const std::filesystem::path& dir) {
   return scene;
 }
 
+// Points of the ball's front on rays of the training views.
+std::vector<SparseDepth> BallDepths(const Scene& scene) {
+  std::vector<SparseDepth> depths;
+  for (const int v : scene.ViewsOf(Split::kTrain)) {
+    const Mat4& m = scene.views[v].scene_from_camera;
+    const double norm = std::sqrt(m[3] * m[3] + m[7] * m[7] + m[11] * m[11]);
+    for (const double lean : {-0.6, -0.3, 0., 0.3, 0.6}) {  // radians from the direction of the camera
+      SparseDepth depth{uint32_t(v), {}, 0.005F};
+      for (int k = 0; k < 3; ++k)
+        depth.position[k] = float(0.5 * (std::cos(lean) * m[4 * k + 3] / norm + std::sin(lean) * m[4 * k]));
+      depths.push_back(depth);
+    }
+  }
+  return depths;
+}
+
 Preset TestPreset(int64_t steps) {
   Preset preset = MakePreset("tiny", false);
   preset.field.levels = 2;
@@ -148,18 +164,20 @@ TEST_F(TrainTest, ImprovesOnViewsItHasNotSeen) {
 }
 
 TEST_F(TrainTest, StoppedAndResumedGivesTheSameBitsAsNeverStopped) {
-  const Preset preset = TestPreset(60);  // the step changes, occupancy is updated and the box shrinks on the way
-  Trainer whole(scene_, pack_, {}, preset, {.seed = 3});
+  Preset preset = TestPreset(60);  // the step changes, occupancy is updated and the box shrinks on the way
+  preset.train.depth_weight = 0.1;
+  const std::vector<SparseDepth> depths = BallDepths(scene_);
+  Trainer whole(scene_, pack_, depths, preset, {.seed = 3});
   while (!whole.Done()) whole.Step();
   EXPECT_TRUE(whole.state().shrunk);
   for (const int64_t stop : {1, 15, 16, 37}) {
     const TemporaryDirectory out;
     {
-      Trainer first(scene_, pack_, {}, preset, {.seed = 3});
+      Trainer first(scene_, pack_, depths, preset, {.seed = 3});
       while (first.state().step < stop) first.Step();
       SaveCheckpoint(out.path(), first.state(), "settings");
     }
-    Trainer second(scene_, pack_, {}, preset, {.seed = 3});
+    Trainer second(scene_, pack_, depths, preset, {.seed = 3});
     LoadCheckpoint(out.path(), "settings", second.state());
     EXPECT_EQ(second.state().step, stop);
     while (!second.Done()) second.Step();
@@ -264,21 +282,43 @@ TEST_F(TrainTest, ABudgetOfSecondsEndsTheTraining) {
 }
 
 // The whole stage, twice into the same place: the second time a damaged checkpoint lies there.
-TEST_F(TrainTest, TheStageStartsAnewAfterADamagedCheckpoint) {
-  const auto write_manifest = [&] {
+// The stage as nrff-train runs it.
+class TrainStage : public TrainTest {
+ protected:
+  TrainStage() {
     ArtifactWriter scene_artifact("pose", directory_.path() / "pose", {}, {});
     WriteBallScene(scene_artifact.dir());
-    scene_artifact.AddOutput(kSceneFile);
-    scene_artifact.AddOutput(kPackFile);
+    SaveSparseDepths(BallDepths(scene_), scene_artifact.dir());
+    for (const char* output : {kSceneFile, kPackFile, kDepthFile}) scene_artifact.AddOutput(output);
     scene_artifact.Commit();
-  };
-  write_manifest();
+    request.scene_dir = directory_.path() / "pose";
+    request.out = directory_.path() / "train";
+    request.preset = "tiny";
+    request.steps = 12;
+    request.n_threads = 1;
+  }
+
   TrainingRequest request;
-  request.scene_dir = directory_.path() / "pose";
-  request.out = directory_.path() / "train";
-  request.preset = "tiny";
-  request.steps = 12;
-  request.n_threads = 1;
+};
+
+TEST_F(TrainStage, SettingsAndForcedDecisionsAreInTheModelAndTheManifest) {
+  request.settings = "field.levels=3 train.depth_rays=16";
+  request.fine_levels = false;
+  request.sparse_depth = true;
+  RunTraining(request, {});
+  const Manifest manifest = RequireArtifact(request.out, "train");
+  const Json& settings = manifest.facts.at("settings");
+  EXPECT_EQ(settings.at("train").at("depth_rays"), 16);
+  EXPECT_GT(settings.at("train").at("depth_weight"), 0);
+  EXPECT_EQ(settings.at("field").at("max_resolution"), 32) << "an octave below tiny's 64";
+  EXPECT_EQ(settings.at("field").at("levels"), 2);
+  for (const Decision& decision : manifest.decisions) {
+    if (decision.feature == "cuda") continue;
+    EXPECT_EQ(decision.reason, "forced by an option") << decision.feature;
+  }
+}
+
+TEST_F(TrainStage, StartsAnewAfterADamagedCheckpoint) {
   RunTraining(request, {{"steps", "12"}});
   const Manifest manifest = RequireArtifact(request.out, "train");
   EXPECT_EQ(manifest.facts.at("steps"), 12);
@@ -340,18 +380,51 @@ TEST(Schedule, RunsFromItsFirstValuesToItsLast) {
 }
 
 TEST(Presets, FewViewsLeaveOutFineLevelsAndKeepTheRatioOfThoseThatStay) {
-  Preset few = MakePreset("small", true), many = few, held = few, paper = MakePreset("paper", true);
-  EXPECT_TRUE(FitDepths(held, 2000, /*unbounded=*/true).needed);
-  EXPECT_TRUE(FitLevelsToViews(held, "small", 9).needed) << "sparse depths hold the surfaces";
+  const Preset small = MakePreset("small", true);
+  Preset few = small;
   EXPECT_FALSE(FitDepths(few, 3, /*unbounded=*/true).needed);
   EXPECT_EQ(few.train.depth_weight, 0);
   EXPECT_FALSE(FitLevelsToViews(few, "small", 9).needed);
   EXPECT_EQ(few.field.max_resolution, 64);
   EXPECT_EQ(few.field.levels, 5);  // 16 … 64 of the eight levels 16 … 256
+
+  Preset many = small;
   EXPECT_FALSE(FitDepths(many, 50000, /*unbounded=*/false).needed) << "silhouettes do";
   EXPECT_TRUE(FitLevelsToViews(many, "small", 43).needed);
-  EXPECT_EQ(many.field, MakePreset("small", true).field);
-  EXPECT_TRUE(FitLevelsToViews(paper, "paper", 9).needed);
+  EXPECT_EQ(many.field, small.field);
+
+  Preset held = small;
+  EXPECT_TRUE(FitDepths(held, 2000, /*unbounded=*/true).needed);
+  EXPECT_TRUE(FitLevelsToViews(held, "small", 9).needed) << "sparse depths hold the surfaces";
+  EXPECT_EQ(held.field, small.field);
+}
+
+TEST(Presets, PaperStaysAsPublished) {
+  const Preset paper = MakePreset("paper", true);
+  Preset fitted = paper;
+  EXPECT_FALSE(FitDepths(fitted, 2000, /*unbounded=*/true).needed);
+  EXPECT_TRUE(FitLevelsToViews(fitted, "paper", 9).needed);
+  EXPECT_EQ(fitted.field, paper.field);
+  EXPECT_EQ(fitted.train.depth_weight, 0);
+}
+
+TEST(Presets, ForcedDecisionsChangeTheModelAsTheySay) {
+  const Preset small = MakePreset("small", true);
+  Preset preset = small;
+  EXPECT_FALSE(FitDepths(preset, 2000, true, false).needed);
+  EXPECT_EQ(preset.train.depth_weight, 0);
+  EXPECT_TRUE(FitDepths(preset, 2000, false, true).needed);
+  EXPECT_GT(preset.train.depth_weight, 0);
+  EXPECT_TRUE(FitLevelsToViews(preset, "small", 3, true).needed);
+  EXPECT_EQ(preset.field, small.field);
+  EXPECT_FALSE(FitLevelsToViews(preset, "small", 100, false).needed);
+  EXPECT_EQ(preset.field.max_resolution, 128) << "an octave less";
+  Preset paper = MakePreset("paper", true);
+  EXPECT_TRUE(FitDepths(paper, 10, true, true).needed);
+  EXPECT_GT(paper.train.depth_weight, 0);
+  EXPECT_FALSE(FitLevelsToViews(paper, "paper", 9, false).needed);
+  EXPECT_EQ(paper.field.max_resolution, 64);
+  EXPECT_THROW(FitDepths(preset, 0, true, true), Error) << "there are none";
 }
 
 TEST(Presets, SingleValuesCanBeSetAndWhatCannotBeIsNamed) {
@@ -361,14 +434,20 @@ TEST(Presets, SingleValuesCanBeSetAndWhatCannotBeIsNamed) {
   EXPECT_EQ(preset.train.step_voxels, (std::vector{10, 20}));
   EXPECT_FALSE(preset.train.lazy_grids);
   const Preset before = preset;
-  for (const auto& [setting, text] :
-       std::vector<std::pair<std::string, std::string>>{{"levels=3", "field.KEY=VALUE"},
-                                                        {"field.level=3", "there is no field.level; there are"},
-                                                        {"field.levels=three", "'field.levels=three' cannot be used"},
-                                                        {"field.levels=0", "grid layout"},
-                                                        {"train.grid_rate=-1", "rates and epsilon must be positive"},
-                                                        {"train.lazy_grids=1", "the preset has false"},
-                                                        {"train.step_voxels=[1,2,3]", "one entry more"}}) {
+  for (const auto& [setting, text] : std::vector<std::pair<std::string, std::string>>{
+           {"levels=3", "field.KEY=VALUE"},
+           {"field.level=3", "there is no field.level; there are"},
+           {"field.levels=three", "another kind of value than the preset's 10"},
+           {"field.levels=3.7", "another kind of value"},
+           {"field.levels=1e30", "another kind of value"},
+           {"field.levels=4294967300", "too large"},
+           {"field.levels=0", "levels is 0, expected 1 to"},
+           {"train.grid_rate=-1", "rates and epsilon must be positive"},
+           {"train.depth_weight=-1", "must not be negative"},
+           {"train.occupancy_resolution=100", "multiple of 8"},
+           {"train.lazy_grids=1", "another kind of value than the preset's false"},
+           {"train.step_voxels=[true,false]", "another kind of value"},
+           {"train.step_voxels=[1,2,3]", "one entry more"}}) {
     SCOPED_TRACE(setting);
     Preset changed = before;
     try {
@@ -377,6 +456,7 @@ TEST(Presets, SingleValuesCanBeSetAndWhatCannotBeIsNamed) {
     } catch (const Error& error) {
       EXPECT_EQ(error.code(), ExitCode::kUsage);
       EXPECT_THAT(error.what(), HasSubstr(text));
+      EXPECT_EQ(changed.field, before.field);
     }
   }
 }
@@ -395,18 +475,7 @@ TEST(DepthLossTest, IsTheLightThatDoesNotEndAtTheSurface) {
 }
 
 TEST_F(TrainTest, SparseDepthsBringTheSurfaceToWhereTheyAre) {
-  // Points of the ball on rays of one view's pixels, with the distances of its front.
-  std::vector<SparseDepth> depths;
-  for (const int v : scene_.ViewsOf(Split::kTrain)) {
-    const Mat4& m = scene_.views[v].scene_from_camera;
-    const double norm = std::sqrt(m[3] * m[3] + m[7] * m[7] + m[11] * m[11]);
-    for (const double lean : {-0.6, -0.3, 0., 0.3, 0.6}) {  // on the ball, leaning from the camera's direction
-      SparseDepth depth{uint32_t(v), {}, 0.005F};
-      for (int k = 0; k < 3; ++k)
-        depth.position[k] = float(0.5 * (std::cos(lean) * m[4 * k + 3] / norm + std::sin(lean) * m[4 * k]));
-      depths.push_back(depth);
-    }
-  }
+  const std::vector<SparseDepth> depths = BallDepths(scene_);
   const DepthSource source(scene_, depths);
   const auto missed_light = [&](double weight) {
     Preset preset = TestPreset(150);

@@ -5,9 +5,15 @@
 // T is the exponential of a sum of τ, never a product of (1 − α), so that Σ w + T_end = 1 to rounding for any τ ≥ 0.
 // The samples of ray r are ray_offsets[r] … ray_offsets[r + 1] − 1, front to back. Parallel over rays, no atomics:
 // deterministic, whatever the number of threads. Functions are defined for float and double.
+//
+// …Cuda takes pointers to device memory, is queued on the stream and returns at once; throws std::runtime_error when it
+// cannot be queued. The CUDA twins are in libnrff_cuda (preset cuda) and share the arithmetic of one ray
+// (compositing_ray.h).
 #pragma once
 
 #include <cstdint>
+
+#include "render/kernels/device.h"
 
 namespace nrff {
 
@@ -29,6 +35,8 @@ struct WeightsArgs {
 
 template <typename Scalar>
 void WeightsForwardCpu(const WeightsArgs<Scalar>& args);
+template <typename Scalar>
+void WeightsForwardCuda(const WeightsArgs<Scalar>& args, CudaStream stream);
 
 // dL/dτ_i = dL/dw_i T_{i+1} − Σ_{j>i} dL/dw_j w_j − dL/dT_end T_end, and dL/dσ_i = δ_i dL/dτ_i. T_{i+1} is rebuilt
 // from the back as T_end + Σ_{j>i} w_j, a sum of positive terms, so it keeps its relative precision.
@@ -49,6 +57,8 @@ struct WeightsBackwardArgs {
 
 template <typename Scalar>
 void WeightsBackwardCpu(const WeightsBackwardArgs<Scalar>& args);
+template <typename Scalar>
+void WeightsBackwardCuda(const WeightsBackwardArgs<Scalar>& args, CudaStream stream);
 
 // Samples with weight > threshold, in order.
 template <typename Scalar>
@@ -82,6 +92,8 @@ struct AccumulateArgs {
 
 template <typename Scalar>
 void AccumulateForwardCpu(const AccumulateArgs<Scalar>& args);
+template <typename Scalar>
+void AccumulateForwardCuda(const AccumulateArgs<Scalar>& args, CudaStream stream);
 
 template <typename Scalar>
 struct AccumulateBackwardArgs {
@@ -99,5 +111,7 @@ struct AccumulateBackwardArgs {
 
 template <typename Scalar>
 void AccumulateBackwardCpu(const AccumulateBackwardArgs<Scalar>& args);
+template <typename Scalar>
+void AccumulateBackwardCuda(const AccumulateBackwardArgs<Scalar>& args, CudaStream stream);
 
 }  // namespace nrff
