@@ -44,7 +44,7 @@ for model in "$work"/sparse/*; do
 done | sort -n | tail -1 >"$work/registered"
 
 exec python3 - "$work" "$out" <<'PYTHON'
-import json, pathlib, sys
+import datetime, json, pathlib, sys
 
 work, out = pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2])
 seconds = {name: float((work / f"{name}.seconds").read_text())
@@ -54,6 +54,9 @@ manifest = json.loads((work / "sfm/manifest.json").read_text())
 facts = manifest["facts"]
 result = {
     "schema_version": 1,
+    "date": datetime.datetime.fromtimestamp((work / "registered").stat().st_mtime).date().isoformat(),
+    "command": "tests/bench/fox_colmap_default.sh PHOTOS OUT.json",
+    "version": manifest["version"],
     "machine": manifest["host"],
     "colmap_version": facts["colmap_version"],
     "colmap_default": {"seconds_features": seconds["features"], "seconds_matching": seconds["matching"],
