@@ -172,7 +172,7 @@ Preset SmallPreset(bool unbounded) {
   field.activation = Activation::kRelu;
 
   TrainConfig& train = preset.train;
-  train.steps = unbounded ? 10000 : 8000;
+  train.steps = 8000;
   train.rays = 1024;
   train.max_rays = 4096;
   train.target_shaded = unbounded ? 2048 : 4096;
