@@ -212,11 +212,11 @@ TEST(SparseDepths, ArePointsAndUncertaintiesOfTheTrainingRaysAlone) {
 TEST(SparseDepths, ResidualsRaiseTheUncertainty) {
   TwoViews views(0.3);
   const float sigma = views.Measure().at(0).sigma;
-  // Both rays miss the point by 2 px up and down, seen at 0.3 rad off the axis: 8 cos² squared px on one degree of
+  // Both rays miss the point by 1 px up and down, seen at 0.3 rad off the axis: 2 cos² squared px on one degree of
   // freedom instead of ½ px.
-  views.model.images[0].observations[0].y += 2;
-  views.model.images[1].observations[0].y -= 2;
-  const double expected = std::sqrt(8.) * std::cos(0.3) / 0.5;
+  views.model.images[0].observations[0].y += 1;
+  views.model.images[1].observations[0].y -= 1;
+  const double expected = std::sqrt(2.) * std::cos(0.3) / 0.5;
   EXPECT_NEAR(views.Measure().at(0).sigma / sigma, expected, 0.01 * expected);
 }
 
