@@ -106,11 +106,11 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options) {
       ->required()
       ->type_name("");
   add("--workspace,-w", options.workspace, "DIR", "Where everything goes (default: work/NAME)");
-  add("--preset", options.preset, "NAME", "Size of the model and length of the training");
+  add("--preset", options.preset, "NAME", "paper, small or tiny model (default: small)");
   add("--set", options.set, "SETTINGS", "Changes of the preset, as 'field.levels=10'")->check(CheckSettings);
   auto* budget = add("--budget", options.budget, "TIME", "Train the best model in this time: 90s, 10m, 1h");
   add("--steps", options.steps, "N", "Training steps; not with --budget")->check(CheckPositive)->excludes(budget);
-  add("--max-image-size", options.max_image_size, "PX", "Shrink photos whose longer side is larger")
+  add("--max-image-size", options.max_image_size, "PX", "Shrink photos to this side (default: 800)")
       ->check(CheckPositive);
   const auto add_forced = [&](const char* name, std::vector<std::string>& features, const char* text) {
     command.add_option(name, features, text)->type_name("FEATURE")->allow_extra_args(false)->check(CheckFeature);

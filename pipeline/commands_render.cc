@@ -164,7 +164,7 @@ Command AddRenderCommand(CLI::App& app) {
   add("--device", options->device, "NAME", "auto, cpu or cuda")->check(CheckDevice);
   add("--threads", options->threads, "N", "Threads (default: all cores)")->check(CheckPositive);
   AddVerbosityOptions(*command, options->output);
-  command->footer("Example: nrff render work/photos --path orbit -o orbit.mp4");
+  command->footer("Example: nrff render work/castle --path orbit -o orbit.mp4");
   return {command, [options] { Render(*options); }};
 }
 

@@ -141,7 +141,7 @@ Command AddRunCommand(CLI::App& app) {
       "Several captures share one run and a joint report; one that fails does not stop\n"
       "the others. Killed at any moment, the same command goes on from what is there.\n"
       "FEATURE: exhaustive_matching undistortion contraction sparse_depth fine_levels\n"
-      "Example: nrff run photos/ --budget 10m");
+      "Example: nrff run castle/ --budget 10m");
   return {command, [options] { Run(options->branch, options->dry_run, options->output); }};
 }
 
@@ -155,7 +155,7 @@ Command AddEvalCommand(CLI::App& app) {
   command->add_option("WORKSPACE", options->workspace, "Made by `nrff run`")->required()->type_name("");
   AddVerbosityOptions(*command, options->output);
   AddJsonOption(*command, options->output);
-  command->footer("Example: nrff eval work/photos");
+  command->footer("Example: nrff eval work/castle");
   return {command, [options] { Eval(options->workspace, options->output); }};
 }
 

@@ -116,7 +116,7 @@ Command AddStatusCommand(CLI::App& app) {
       ->required()
       ->type_name("");
   AddJsonOption(*command, options->output);
-  command->footer("Example: nrff status work/photos");
+  command->footer("Example: nrff status work/castle");
   return {command, [options] { Status(options->workspaces, options->output.json); }};
 }
 
