@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <regex>
 #include <set>
 #include <sstream>
 
@@ -37,10 +36,13 @@ constexpr Forceable kForceable[] = {{"exhaustive_matching", "matching", "exhaust
 
 // The form alone: what keys there are, the training program knows.
 std::string CheckSettings(const std::string& text) {
-  static const std::regex form(R"((field|train)\.\w+=\S+)");
   std::istringstream words(text);
   for (std::string word; words >> word;) {
-    if (!std::regex_match(word, form)) return "'" + word + "' is not of the form field.KEY=VALUE or train.KEY=VALUE";
+    const size_t dot = word.find('.'), equals = word.find('=');
+    const std::string group = word.substr(0, dot);
+    const bool fits = (group == "field" || group == "train") && equals != std::string::npos && dot + 1 < equals &&
+                      equals + 1 < word.size();
+    if (!fits) return "'" + word + "' is not of the form field.KEY=VALUE or train.KEY=VALUE";
   }
   return {};
 }

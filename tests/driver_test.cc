@@ -148,6 +148,9 @@ TEST_F(DriverTest, ForcedDecisionsGoToTheStagesThatMakeThem) {
   const ProgramResult both = RunFox({"--need", "contraction", "--leave-out", "contraction"});
   EXPECT_EQ(both.exit_code, 2);
   EXPECT_THAT(both.err, HasSubstr("--need and --leave-out both name contraction"));
+  for (const char* malformed : {"levels=3", "field.levels", "field.=3", "field.levels="}) {
+    EXPECT_EQ(RunFox({"--set", malformed}).exit_code, 2) << malformed;
+  }
   const ProgramResult unknown = RunFox({"--leave-out", "training"});
   EXPECT_EQ(unknown.exit_code, 2);
   EXPECT_THAT(unknown.err, HasSubstr("nothing that can be forced"));
