@@ -7,9 +7,10 @@ if(NOT CMAKE_CUDA_COMPILER)
 endif()
 enable_language(CUDA)
 find_package(CUDAToolkit REQUIRED)
-set(CMAKE_CUDA_STANDARD 20)
 file(GLOB cuda_sources CONFIGURE_DEPENDS render/kernels/*.cu model/kernels/*.cu)
 add_library(nrff_cuda SHARED ${cuda_sources})
-set_target_properties(nrff_cuda PROPERTIES CUDA_ARCHITECTURES "80-real;90-real;90-virtual" CUDA_RUNTIME_LIBRARY Static)
+# CMake 3.25 knows no C++20 dialect of CUDA 13; kernels need none.
+set_target_properties(nrff_cuda PROPERTIES CUDA_ARCHITECTURES "80-real;90-real;90-virtual" CUDA_STANDARD 17
+                                           CUDA_RUNTIME_LIBRARY Static)
 target_include_directories(nrff_cuda PRIVATE ${PROJECT_SOURCE_DIR})
 target_compile_options(nrff_cuda PRIVATE "$<$<COMPILE_LANGUAGE:CUDA>:-Xcompiler=-Wall,-Wextra>")
