@@ -180,6 +180,7 @@ void MakeCapture(const Options& options) {
     }
   };
   std::vector<std::thread> threads;
+  threads.reserve(size_t(options.n_threads));
   for (int i = 0; i < options.n_threads; ++i) threads.emplace_back(work);
   for (std::thread& thread : threads) thread.join();
   if (failure) std::rethrow_exception(failure);

@@ -137,7 +137,7 @@ Vec3d Shade(const World& world, const Ray& ray, double spread, double distance_b
   // The geometric mean of the footprint's short and long side: sharper than the long one, still free of aliasing once
   // supersampled.
   const double footprint = spread * (distance_before + hit.distance) / std::sqrt(cosine);
-  const Vec3d albedo = Albedo(world, hit, footprint);
+  Vec3d albedo = Albedo(world, hit, footprint);
   if (hit.dome) return albedo;
 
   const Vec3d surface = hit.point + kSurfaceOffset * hit.normal;
@@ -227,8 +227,9 @@ Picture Render(const World& world, const Camera& camera, int samples, uint32_t s
       Vec3d sum = Vec3d::Zero();
       for (int i = 0; i < grid * grid; ++i) {
         const uint32_t sample = Hash(x, y, i, seed);
-        const double u = (i % grid + UnitFromHash(Hash(0, 0, 0, sample))) / grid;
-        const double v = (i / grid + UnitFromHash(Hash(0, 1, 0, sample))) / grid;
+        const int column = i % grid, row = i / grid;
+        const double u = (column + UnitFromHash(Hash(0, 0, 0, sample))) / grid;
+        const double v = (row + UnitFromHash(Hash(0, 1, 0, sample))) / grid;
         sum += Radiance(world, camera.RayThrough(x + u, y + v), 1 / camera.focal_px);
       }
       const Vec3d srgb = ToneMap(sum / (grid * grid));

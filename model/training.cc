@@ -122,6 +122,29 @@ Json Curve(const TrainState& state) {
 
 }  // namespace
 
+Json DescribeTraining(const TrainingRequest& request) {
+  const Decision device = ChooseDevice(request.device);
+  Json settings = Json::object(), steps;
+  std::optional<Error> refused;
+  for (const bool unbounded : {false, true}) {
+    Json& kind = settings[unbounded ? "unbounded" : "bounded"];
+    try {
+      Preset preset = MakePreset(request.preset, unbounded);
+      ApplySettings(request.settings, preset);
+      if (request.steps > 0) preset.train.steps = request.steps;
+      steps = preset.train.steps;
+      kind = {{"field", ToJson(preset.field)}, {"train", ToJson(preset.train)}};
+    } catch (const Error& error) {
+      refused = error;
+    }
+  }
+  if (steps.is_null()) throw Error(*refused);
+  if (request.budget_seconds > 0) steps = nullptr;
+  return {{"preset", request.preset}, {"device", device.needed ? "cuda" : "cpu"},
+          {"steps", steps},           {"budget_seconds", request.budget_seconds},
+          {"decisions", {device}},    {"settings", settings}};
+}
+
 void RunTraining(const TrainingRequest& request, const Params& params) {
   const Decision device = ChooseDevice(request.device);
   const int n_threads = SetThreads(request.n_threads);

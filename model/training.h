@@ -22,6 +22,12 @@ struct TrainingRequest {
   int n_threads = 0;  // 0: one per core
 };
 
+// What is asked for, without a scene: {"preset", "device", "steps", "budget_seconds", "decisions", "settings":
+// {"bounded":
+// {"field", "train"} or null, "unbounded": the same}}. Throws UsageError and ResourceError for presets, settings and
+// devices that there are for neither kind of scene, as RunTraining would later.
+Json DescribeTraining(const TrainingRequest& request);
+
 // `params`: what of the request was given by the caller (manifest.params).
 void RunTraining(const TrainingRequest& request, const Params& params);
 

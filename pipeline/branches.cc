@@ -8,6 +8,8 @@
 #include "pipeline/commands.h"
 #include "pipeline/error.h"
 #include "pipeline/files.h"
+#include "pipeline/scene.h"
+#include "pipeline/stage.h"
 
 namespace nrff {
 namespace {
@@ -31,8 +33,8 @@ struct Forceable {
 constexpr Forceable kForceable[] = {{"exhaustive_matching", "matching", "exhaustive", "sequential"},
                                     {"undistortion", "undistortion", "on", "off"},
                                     {"contraction", "contraction", "on", "off"},
-                                    {"fine_levels", "fine-levels", "on", "off"},
-                                    {"sparse_depth", "sparse-depth", "on", "off"}};
+                                    {"sparse_depth", "sparse-depth", "on", "off"},
+                                    {"fine_levels", "fine-levels", "on", "off"}};
 
 // The form alone: what keys there are, the training program knows.
 std::string CheckSettings(const std::string& text) {
@@ -47,11 +49,17 @@ std::string CheckSettings(const std::string& text) {
   return {};
 }
 
+std::string CheckImageSize(const std::string& text) {
+  const std::string not_positive = CheckPositive(text);
+  if (!not_positive.empty() || std::stoll(text) >= kLeastMaxImageSize) return not_positive;
+  return "'" + text + "' px are too few; at least " + std::to_string(kLeastMaxImageSize) + " are needed";
+}
+
 std::string CheckFeature(const std::string& text) {
   std::string all;
-  for (const Forceable& forceable : kForceable) {
-    if (text == forceable.feature) return {};
-    all += (all.empty() ? "" : ", ") + std::string(forceable.feature);
+  for (const std::string& feature : ForceableFeatures()) {
+    if (text == feature) return {};
+    all += (all.empty() ? "" : ", ") + feature;
   }
   return "'" + text + "' is nothing that can be forced; that can be " + all;
 }
@@ -80,7 +88,7 @@ Params GivenOptions(const BranchOptions& options) {
   add("max-image-size", options.max_image_size);
   if (!options.budget.empty()) {
     const double seconds = ParseDuration(options.budget, "--budget");
-    add("budget-seconds", std::to_string(std::llround(seconds)));
+    add("budget", std::to_string(std::llround(seconds)) + "s");
   }
   return params;
 }
@@ -101,7 +109,7 @@ fs::path Folder(const std::string& given) {
 }  // namespace
 
 void AddBranchOptions(CLI::App& command, BranchOptions& options) {
-  const auto add = [&](const char* names, std::string& value, const char* type, const char* text) {
+  const auto add = [&](const char* names, std::string& value, const char* type, const std::string& text) {
     return command.add_option(names, value, text)->type_name(type);
   };
   command.add_option("CAPTURE", options.targets, "Folder of photos, posed capture, or a workspace")
@@ -112,10 +120,11 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options) {
   add("--set", options.set, "SETTINGS", "Changes of the preset, as 'field.levels=10'")->check(CheckSettings);
   auto* budget = add("--budget", options.budget, "TIME", "Train the best model in this time: 90s, 10m, 1h");
   add("--steps", options.steps, "N", "Training steps; not with --budget")->check(CheckPositive)->excludes(budget);
-  add("--max-image-size", options.max_image_size, "PX", "Shrink photos to this side (default: 800)")
-      ->check(CheckPositive);
+  add("--max-image-size", options.max_image_size, "PX",
+      "Shrink photos to this side (default: " + std::to_string(kMaxImageSize) + ")")
+      ->check(CheckImageSize);
   const auto add_forced = [&](const char* name, std::vector<std::string>& features, const char* text) {
-    command.add_option(name, features, text)->type_name("FEATURE")->allow_extra_args(false)->check(CheckFeature);
+    command.add_option(name, features, text)->type_name("FEATURE")->expected(1)->take_all()->check(CheckFeature);
   };
   add_forced("--need", options.need, "Use what `nrff plan` would leave out");
   add_forced("--leave-out", options.leave_out, "Leave out what `nrff plan` would use");
@@ -154,8 +163,8 @@ std::vector<BranchRequest> MakeBranches(const BranchOptions& options) {
       Workspace::Marker marker = workspace.ReadMarker();
       request.capture = marker.capture;
       // Steps and a budget exclude each other: the one given now replaces the other one given before.
-      if (given.contains("steps")) marker.options.erase("budget-seconds");
-      if (given.contains("budget-seconds")) marker.options.erase("steps");
+      if (given.contains("steps")) marker.options.erase("budget");
+      if (given.contains("budget")) marker.options.erase("steps");
       request.options.merge(marker.options);
     } else {
       request.capture = CapturePath(target);
@@ -170,6 +179,12 @@ std::vector<BranchRequest> MakeBranches(const BranchOptions& options) {
   return requests;
 }
 
+std::vector<std::string> ForceableFeatures() {
+  std::vector<std::string> features;
+  for (const Forceable& forceable : kForceable) features.emplace_back(forceable.feature);
+  return features;
+}
+
 std::optional<bool> ForcedDecision(const BranchRequest& request, const std::string& feature) {
   for (const Forceable& forceable : kForceable) {
     const auto given = request.options.find(forceable.option);
@@ -178,18 +193,37 @@ std::optional<bool> ForcedDecision(const BranchRequest& request, const std::stri
   return {};
 }
 
-Json ProbeCapture(Executor& executor, const BranchRequest& request) {
+namespace {
+
+// The JSON object that a stage's --probe answers with. Throws Error with the stage's own sentence and exit code.
+Json Probe(Executor& executor, std::vector<std::string> command) {
+  const std::string program = fs::path(command.front()).filename().string();
   std::string output;
   Job job;
-  job.command = {(request.executables / "nrff-ingest").string(), request.capture.string(), "--probe", "--quiet"};
+  job.command = std::move(command);
+  job.command.insert(job.command.end(), {"--probe", "--quiet"});
   job.on_line = [&](const std::string& line) {
     if (line.compare(0, 9, "warning: ") != 0) output += line + "\n";
   };
   const JobResult result = RunJob(executor, std::move(job));
+  if (const int signal = executor.StopSignal(); signal != 0) {
+    throw Error(static_cast<ExitCode>(128 + signal), "stopped by signal " + std::to_string(signal));
+  }
   if (result.exit_code != 0) throw Error(static_cast<ExitCode>(result.exit_code), result.error);
   Json facts = Json::parse(output, nullptr, /*allow_exceptions=*/false);
-  if (!facts.is_object()) throw ExternalToolError("nrff-ingest --probe answered with something that is not JSON");
+  if (!facts.is_object()) throw ExternalToolError(program + " --probe answered with something that is not JSON");
   return facts;
+}
+
+}  // namespace
+
+Json ProbeCapture(Executor& executor, const BranchRequest& request) {
+  return Probe(executor, {(request.executables / "nrff-ingest").string(), request.capture.string()});
+}
+
+Json ProbeTraining(Executor& executor, const BranchRequest& request) {
+  const std::vector<std::string> command = TrainingOptions(request);
+  return command.empty() ? Json::object() : Probe(executor, command);
 }
 
 fs::path CommonFolder(const std::vector<Workspace>& workspaces) {

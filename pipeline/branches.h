@@ -33,6 +33,14 @@ std::optional<bool> ForcedDecision(const BranchRequest& request, const std::stri
 // own sentence and exit code.
 Json ProbeCapture(Executor& executor, const BranchRequest& request);
 
+// What the options mean to the training program, which is the one that knows presets, settings and devices (nrff-train
+// --probe): {"preset", "device", "steps", "budget_seconds", "decisions", …}; empty where the branch ends before
+// training. Throws Error with that program's own sentence and exit code.
+Json ProbeTraining(Executor& executor, const BranchRequest& request);
+
+// Features whose decision --need and --leave-out can force, in the order of the pipeline.
+std::vector<std::string> ForceableFeatures();
+
 // The folder that all these workspaces lie in. Throws UsageError when they lie in several.
 std::filesystem::path CommonFolder(const std::vector<Workspace>& workspaces);
 

@@ -4,8 +4,6 @@
 #include <cstdio>
 #include <cstdlib>
 
-#include "pipeline/error.h"
-
 namespace nrff {
 namespace {
 
@@ -18,42 +16,7 @@ bool IsWhole(const std::string& text) {
   return true;
 }
 
-double SecondsOf(char unit) {
-  switch (unit) {
-    case 's':
-      return 1;
-    case 'm':
-      return 60;
-    case 'h':
-      return 3600;
-    default:
-      return 0;
-  }
-}
-
 }  // namespace
-
-double ParseDuration(const std::string& text, const std::string& option) {
-  double seconds = 0;
-  const char* rest = text.c_str();
-  while (*rest != '\0') {
-    char* end = nullptr;
-    const bool number = std::isdigit(static_cast<unsigned char>(*rest)) != 0;
-    const double count = number ? std::strtod(rest, &end) : 0;
-    const bool plain_seconds = number && *end == '\0' && rest == text.c_str();
-    const double unit_seconds = !number ? 0 : plain_seconds ? 1 : SecondsOf(*end);
-    seconds += count * unit_seconds;
-    if (unit_seconds == 0) {
-      seconds = 0;
-      break;
-    }
-    rest = plain_seconds ? end : end + 1;
-  }
-  if (!(seconds >= 1 && seconds < 1e9)) {
-    throw UsageError(option + " is '" + text + "': give a time of a second or more, as 90s, 10m, 1h or 1h30m");
-  }
-  return seconds;
-}
 
 void AddVerbosityOptions(CLI::App& command, OutputOptions& output) {
   auto* quiet = command.add_flag("-q,--quiet", output.quiet, "Warnings and errors only");

@@ -23,9 +23,6 @@ Command AddRenderCommand(CLI::App& app);
 Command AddEvalCommand(CLI::App& app);
 Command AddReportCommand(CLI::App& app);
 
-// "90s", "10m", "1h", "1h30m", "600" (seconds) in seconds. Throws UsageError naming `option`.
-double ParseDuration(const std::string& text, const std::string& option);
-
 // What every sub-command shares.
 struct OutputOptions {
   bool quiet = false, verbose = false, json = false;

@@ -23,9 +23,15 @@ struct RenderOptions {
   OutputOptions output;
 };
 
+bool IsKind(const std::string& path) { return path == "orbit" || path == "spiral"; }
+
 // The path's name: the kind itself, or the file's.
-std::string PathName(const std::string& path) {
-  return path == "orbit" || path == "spiral" ? path : fs::path(path).stem().string();
+std::string PathName(const std::string& path) { return IsKind(path) ? path : fs::path(path).stem().string(); }
+
+std::string CheckPath(const std::string& path) {
+  std::error_code absent;
+  if (IsKind(path) || fs::is_regular_file(path, absent)) return {};
+  return "'" + path + "' is neither orbit nor spiral nor a file of poses (JSON; README.md describes it)";
 }
 
 std::vector<std::string> RenderCommand(const RenderOptions& options, const Workspace& workspace, const fs::path& out) {
@@ -133,8 +139,7 @@ void Render(const RenderOptions& options) {
     throw UsageError("-o is " + EscapePath(target) + ": give a name that ends in .mp4, or a folder for PNG frames");
   }
   const WorkspaceLock lock(workspace);
-  RequireArtifact(workspace.Artifact("pose"), "pose");
-  RequireArtifact(workspace.Artifact("train"), "train");
+  for (const char* stage : {"pose", "train"}) workspace.Require(stage);
   const fs::path out = workspace.root() / "paths" / PathName(options.path);
   fs::create_directories(out.parent_path());
   RenderFrames(options, workspace, out);
@@ -155,7 +160,7 @@ Command AddRenderCommand(CLI::App& app) {
     return command->add_option(names, value, text)->type_name(type);
   };
   add("WORKSPACE", options->workspace, "", "Made by `nrff run`")->required();
-  add("--path", options->path, "KIND", "orbit, spiral or a file of poses (default: orbit)");
+  add("--path", options->path, "KIND", "orbit, spiral or a file of poses (default: orbit)")->check(CheckPath);
   add("-o,--output", options->output_path, "FILE", "out.mp4, or a folder for PNG frames")->required();
   add("--frames", options->frames, "N", "Frames of the path (default: 120)")->check(CheckPositive);
   add("--fps", options->fps, "N", "Frames a second (default: 30)")->check(CheckPositive);

@@ -7,6 +7,7 @@
 #include "pipeline/commands.h"
 #include "pipeline/error.h"
 #include "pipeline/files.h"
+#include "pipeline/local_executor.h"
 #include "pipeline/plan.h"
 #include "pipeline/report.h"
 #include "pipeline/run.h"
@@ -35,6 +36,10 @@ void ReportFailures(const std::vector<BranchResult>& results) {
 void Run(const BranchOptions& branch, bool dry_run, const OutputOptions& output) {
   const std::vector<BranchRequest> requests = MakeBranches(branch);
   if (dry_run) return PlanAndPrint(requests, output.json);
+  {
+    LocalExecutor executor;  // what only training would refuse is refused before an hour of other stages
+    for (const BranchRequest& request : requests) ProbeTraining(executor, request);
+  }
 
   std::vector<Workspace> workspaces;
   std::vector<fs::path> roots;
@@ -87,8 +92,9 @@ void PrintScores(const Json& metrics) {
 void Eval(const std::string& path, const OutputOptions& output) {
   const BranchRequest request = BranchOf(Workspace(path));
   const WorkspaceLock lock(request.workspace);
-  const Manifest ingest = RequireArtifact(request.workspace.Artifact("ingest"), "ingest");
+  const Manifest ingest = request.workspace.Require("ingest");
   const bool posed = Get<bool>(ingest.facts, "posed", "ingest's manifest");
+  for (const char* stage : {"pose", "render"}) request.workspace.Require(stage);
   const Machine machine = ThisMachine();
   ThrowIfFailed(RunBranches({request}, BranchToRunAgain(request, machine, posed, {"eval", "report"}), machine,
                             output.verbosity()));

@@ -50,6 +50,21 @@ std::vector<StageStatus> StatusOf(const BranchRequest& request) {
   return stages;
 }
 
+// What the last eval found, whether it still stands or not; null where there is none.
+Json Metrics(const BranchRequest& request) {
+  RealDisk disk;
+  const std::optional<Manifest> eval = disk.ReadArtifact(request.workspace.Artifact("eval")).manifest;
+  Json metrics = Json::object();
+  for (const char* name : {"psnr", "ssim", "lpips"}) metrics[name] = eval ? eval->facts.value(name, Json()) : Json();
+  return metrics;
+}
+
+std::optional<std::string> Report(const BranchRequest& request) {
+  std::error_code absent;
+  const std::filesystem::path report = request.workspace.Report();
+  return std::filesystem::exists(report, absent) ? std::optional(EscapePath(report)) : std::nullopt;
+}
+
 void PrintStatus(const BranchRequest& request, const std::vector<StageStatus>& stages) {
   std::cout << EscapePath(request.workspace.root()) << " (" << EscapePath(request.capture) << ")\n";
   if (const auto holder = WorkspaceLock::Holder(request.workspace); holder) {
@@ -57,10 +72,16 @@ void PrintStatus(const BranchRequest& request, const std::vector<StageStatus>& s
   }
   for (const StageStatus& status : stages) {
     const std::string text = status.state != "done" ? status.reason
-                                                    : FormatSeconds(status.seconds) + ", " +
+                                                    : FormatSeconds(status.seconds) + ", peak memory " +
                                                           FormatBytes(static_cast<double>(status.peak_memory_bytes));
     std::cout << fmt::format("  {:<8}{:<11}{}\n", status.stage, status.state, text);
   }
+  const Json metrics = Metrics(request);
+  if (metrics.at("psnr").is_number() && metrics.at("ssim").is_number()) {
+    std::cout << fmt::format("  held out PSNR {:.2f} dB, SSIM {:.4f}\n", metrics.at("psnr").get<double>(),
+                             metrics.at("ssim").get<double>());
+  }
+  if (const auto report = Report(request); report) std::cout << "  report   " << *report << '\n';
 }
 
 Json StatusToJson(const BranchRequest& request, const std::vector<StageStatus>& stages) {
@@ -80,11 +101,14 @@ Json StatusToJson(const BranchRequest& request, const std::vector<StageStatus>& 
     list.push_back(std::move(json));
   }
   const auto holder = WorkspaceLock::Holder(request.workspace);
+  const auto report = Report(request);
   return {{"name", request.name},
           {"workspace", EscapePath(request.workspace.root())},
           {"capture", EscapePath(request.capture)},
           {"in_use_by_process", holder ? Json(*holder) : Json()},
-          {"stages", list}};
+          {"stages", list},
+          {"metrics", Metrics(request)},
+          {"report", report ? Json(*report) : Json()}};
 }
 
 void Status(const std::vector<std::string>& paths, bool as_json) {

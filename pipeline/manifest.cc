@@ -151,7 +151,7 @@ HashedPath ArtifactInput(const fs::path& artifact_dir, const Manifest& manifest)
   return {EscapePath(dir.filename()), manifest.ContentHash(), 0};
 }
 
-ArtifactWriter::ArtifactWriter(std::string kind, fs::path out, Params params, std::vector<HashedPath> inputs,
+ArtifactWriter::ArtifactWriter(std::string kind, const fs::path& out, Params params, std::vector<HashedPath> inputs,
                                Partial partial)
     : out_(fs::absolute(out).lexically_normal()), start_(std::chrono::steady_clock::now()) {
   if (!out_.has_filename()) out_ = out_.parent_path();

@@ -77,7 +77,7 @@ class ArtifactWriter {
 
   // Prepares `<out>.partial`. With kKeepPartial, what an interrupted attempt with the same producer version, params
   // and inputs left there is kept (`resumed()` is then true), so that the stage can go on from it.
-  ArtifactWriter(std::string kind, std::filesystem::path out, Params params, std::vector<HashedPath> inputs,
+  ArtifactWriter(std::string kind, const std::filesystem::path& out, Params params, std::vector<HashedPath> inputs,
                  Partial partial = kDiscardPartial);
 
   const std::filesystem::path& dir() const { return dir_; }  // `<out>.partial`

@@ -54,8 +54,8 @@ Decision FineLevels(int n_train_views, bool sparse_depth, int finest);
 
 // Learning from the depths of sparse points is left out where there are hardly any, and in bounded scenes, whose
 // silhouettes settle the geometry. Measured on training views held out, 60 s on one core, without → with: fox 26.0 →
-// 27.1 dB, cup 25.3 → 26.3, sceaux_castle 17.4 → 20.5, kermit 13.2 → 15.5; bounded maryrose 21.0 → 20.8. One seed, while the preset was being tuned, with
-// COLMAP's own points, before they were triangulated anew from training rays.
+// 27.1 dB, cup 25.3 → 26.3, sceaux_castle 17.4 → 20.5, kermit 13.2 → 15.5; bounded maryrose 21.0 → 20.8. One seed,
+// while the preset was being tuned, with COLMAP's own points, before they were triangulated anew from training rays.
 Decision SparseDepth(size_t n_depths, bool unbounded);
 
 // LPIPS is left out when no network file is given.

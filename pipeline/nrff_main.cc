@@ -1,6 +1,7 @@
 #include <array>
 
 #include "pipeline/commands.h"
+#include "pipeline/error.h"
 #include "pipeline/manifest.h"
 #include "pipeline/stage.h"
 
@@ -9,13 +10,14 @@ int main(int argc, char** argv) {
   constexpr int kNamesColumns = 28;
   app.get_formatter()->column_width(kNamesColumns);
   app.set_version_flag("--version", nrff::Version());
-  app.require_subcommand(1);
+  app.require_subcommand(0, 1);
   app.footer("Example: nrff run photos/\nHelp on one: nrff run --help");
   const std::array commands = {nrff::AddRunCommand(app),    nrff::AddPlanCommand(app), nrff::AddStatusCommand(app),
                                nrff::AddRenderCommand(app), nrff::AddEvalCommand(app), nrff::AddReportCommand(app)};
   return nrff::StageMain(app, argc, argv, [&] {
     for (const nrff::Command& command : commands) {
-      if (command.app->parsed()) command.run();
+      if (command.app->parsed()) return command.run();
     }
+    throw nrff::UsageError("give a command: run, plan, status, render, eval or report (see nrff --help)");
   });
 }

@@ -10,6 +10,8 @@
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "pipeline/local_executor.h"
+#include "pipeline/progress.h"
+#include "pipeline/scene.h"
 
 namespace nrff {
 namespace {
@@ -24,19 +26,45 @@ void AddDecision(std::vector<Decision>& decisions, const Decision& decision) {
   }
 }
 
-// What follows from the capture alone, and, of stages that are done, what they decided.
-std::vector<Decision> KnownDecisions(Graph& graph, const BranchPlan& plan) {
-  std::vector<Decision> decisions = {needs::Sfm(plan.facts.value("posed", false), plan.facts.value("kind", "capture"))};
-  if (plan.facts.value("has_alpha", false)) {
-    decisions.push_back(needs::Contraction(false, true, {}));
-    Force(decisions.back(), ForcedDecision(plan.request, "contraction"));
+// What follows from the capture and the options alone, and, of stages that are done, what they decided.
+void AddKnownDecisions(Graph& graph, BranchPlan& plan) {
+  const bool posed = plan.facts.value("posed", false);
+  plan.decisions = {needs::Sfm(posed, plan.facts.value("kind", "capture"))};
+  if (plan.facts.value("has_alpha", false)) plan.decisions.push_back(needs::Contraction(false, true, {}));
+  for (const Decision& decision : plan.training.value("decisions", std::vector<Decision>())) {
+    plan.decisions.push_back(decision);
   }
-  decisions.push_back(needs::Lpips(""));
+  plan.decisions.push_back(needs::Lpips(""));
+  for (const std::string& feature : ForceableFeatures()) {
+    if (posed && feature == "exhaustive_matching") continue;  // there is nothing to match
+    const std::optional<bool> forced = ForcedDecision(plan.request, feature);
+    if (!forced) continue;
+    Decision decision{feature, true, "asked for on the command line", "", ""};
+    Force(decision, forced);
+    AddDecision(plan.decisions, decision);
+  }
   for (size_t i = 0; i < plan.nodes.size(); ++i) {
     if (plan.verdicts[i].state != Verdict::kFresh) continue;
-    for (const Decision& decision : graph.Artifact(plan.nodes[i]).manifest->decisions) AddDecision(decisions, decision);
+    for (const Decision& decision : graph.Artifact(plan.nodes[i]).manifest->decisions) {
+      AddDecision(plan.decisions, decision);
+    }
   }
-  return decisions;
+  for (const std::string& feature : ForceableFeatures()) {
+    const bool decided = std::any_of(plan.decisions.begin(), plan.decisions.end(),
+                                     [&](const Decision& decision) { return decision.feature == feature; });
+    if (!decided && !(posed && feature == "exhaustive_matching")) plan.undecided.push_back(feature);
+  }
+}
+
+std::string TrainingText(const BranchPlan& plan) {
+  const auto size = plan.request.options.find("max-image-size");
+  const double budget_seconds = plan.training.value("budget_seconds", 0.);
+  const Json steps = plan.training.value("steps", Json());
+  return fmt::format("training: preset {}, {}, on {}, photos of at most {} px",
+                     plan.training.value("preset", "of nrff-train"),
+                     budget_seconds > 0 ? FormatSeconds(budget_seconds) : steps.dump() + " steps",
+                     plan.training.value("device", "cpu"),
+                     size == plan.request.options.end() ? std::to_string(kMaxImageSize) : size->second);
 }
 
 const char* StateText(Verdict::State state) {
@@ -49,6 +77,21 @@ const char* StateText(Verdict::State state) {
       return "decide";
   }
   return "";
+}
+
+// One plan's error was not printed with the plans: it is all there is to say.
+void ThrowIfUnplanned(const std::vector<BranchPlan>& plans) {
+  size_t n_unplanned = 0;
+  const BranchPlan* first = nullptr;
+  for (const BranchPlan& plan : plans) {
+    if (plan.error.empty()) continue;
+    ++n_unplanned;
+    if (first == nullptr) first = &plan;
+  }
+  if (first == nullptr) return;
+  throw Error(
+      static_cast<ExitCode>(first->exit_code),
+      plans.size() == 1 ? first->error : fmt::format("{} of {} captures cannot be planned", n_unplanned, plans.size()));
 }
 
 }  // namespace
@@ -65,7 +108,8 @@ BranchPlan PlanBranch(const BranchRequest& request, Executor& executor) {
     });
     plan.nodes.assign(graph.nodes().begin(), graph.nodes().end());
     if (plan.facts.empty()) plan.facts = graph.Artifact(plan.nodes.front()).manifest->facts;
-    plan.decisions = KnownDecisions(graph, plan);
+    plan.training = ProbeTraining(executor, request);
+    AddKnownDecisions(graph, plan);
   } catch (const Error& error) {
     plan.exit_code = static_cast<int>(error.code());
     plan.error = error.what();
@@ -88,8 +132,13 @@ void PrintPlans(const std::vector<BranchPlan>& plans, std::ostream& out) {
       const Verdict& verdict = plan.verdicts[i];
       out << fmt::format("  {:<7}{:<8}{}\n", StateText(verdict.state), plan.nodes[i].stage, verdict.reason);
     }
+    if (!plan.training.empty()) out << "  " << TrainingText(plan) << '\n';
     for (const Decision& decision : plan.decisions) {
-      if (!decision.needed) out << "  " << DecisionText(decision) << '\n';
+      const bool forced = ForcedDecision(plan.request, decision.feature).has_value();
+      if (!decision.needed || forced) out << "  " << DecisionText(decision) << '\n';
+    }
+    if (!plan.undecided.empty()) {
+      out << fmt::format("  decided on the way, from what is measured then: {}\n", fmt::join(plan.undecided, ", "));
     }
   }
 }
@@ -113,7 +162,9 @@ Json PlansToJson(const std::vector<BranchPlan>& plans) {
                     {"workspace", EscapePath(plan.request.workspace.root())},
                     {"facts", plan.facts},
                     {"nodes", nodes},
-                    {"decisions", plan.decisions}};
+                    {"training", plan.training},
+                    {"decisions", plan.decisions},
+                    {"undecided", plan.undecided}};
     if (!plan.error.empty()) capture["error"] = plan.error;
     captures.push_back(std::move(capture));
   }
@@ -129,12 +180,10 @@ void PlanAndPrint(const std::vector<BranchRequest>& requests, bool json) {
   }
   if (json) {
     PrintJson(PlansToJson(plans));
-  } else {
+  } else if (plans.size() > 1 || plans.front().error.empty()) {
     PrintPlans(plans, std::cout);
   }
-  for (const BranchPlan& plan : plans) {
-    if (!plan.error.empty()) throw Error(static_cast<ExitCode>(plan.exit_code), plan.request.name + ": " + plan.error);
-  }
+  ThrowIfUnplanned(plans);
 }
 
 Command AddPlanCommand(CLI::App& app) {

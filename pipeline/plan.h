@@ -13,11 +13,13 @@ namespace nrff {
 
 struct BranchPlan {
   BranchRequest request;
-  Json facts = Json::object();  // what ingest found, or says it will
+  Json facts = Json::object();     // what ingest found, or says it will
+  Json training = Json::object();  // what the options mean to training: ProbeTraining
   std::vector<Node> nodes = {};
-  std::vector<Verdict> verdicts = {};    // by node
-  std::vector<Decision> decisions = {};  // what is known now
-  int exit_code = 0;                     // of what kept the plan from being made
+  std::vector<Verdict> verdicts = {};       // by node
+  std::vector<Decision> decisions = {};     // what is known now, or was forced
+  std::vector<std::string> undecided = {};  // features that stages will decide on
+  int exit_code = 0;                        // of what kept the plan from being made
   std::string error = {};
 };
 

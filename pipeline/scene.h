@@ -22,6 +22,9 @@ using Mat4 = std::array<double, 16>;  // row-major
 
 enum class Split { kTrain, kTest };
 
+// Longer side of the packed photos, px: unless said otherwise, and the least that can be asked for.
+inline constexpr int kMaxImageSize = 800, kLeastMaxImageSize = 16;
+
 struct View {
   std::string id;    // "000012": unique, a safe file name
   std::string name;  // the photo's name, escaped (EscapePath), for people

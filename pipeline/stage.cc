@@ -1,7 +1,9 @@
 #include "pipeline/stage.h"
 
+#include <cctype>
 #include <cerrno>
 #include <cstdio>
+#include <cstdlib>
 #include <new>
 #include <system_error>
 
@@ -9,6 +11,47 @@
 #include "pipeline/log.h"
 
 namespace nrff {
+namespace {
+
+double SecondsOf(char unit) {
+  switch (unit) {
+    case 's':
+      return 1;
+    case 'm':
+      return 60;
+    case 'h':
+      return 3600;
+    default:
+      return 0;
+  }
+}
+
+// 0 where the text is no duration.
+double SecondsIn(const std::string& text) {
+  double seconds = 0;
+  for (const char* rest = text.c_str(); *rest != '\0';) {
+    if (std::isdigit(static_cast<unsigned char>(*rest)) == 0) return 0;
+    char* end = nullptr;
+    const double count = std::strtod(rest, &end);
+    if (*end == '\0') return rest == text.c_str() ? count : 0;
+    const double unit_seconds = SecondsOf(*end);
+    if (unit_seconds == 0) return 0;
+    seconds += count * unit_seconds;
+    rest = end + 1;
+  }
+  return seconds;
+}
+
+// The program, and the sub-command that was being read.
+std::string CommandName(const CLI::App& app) {
+  std::string name = app.get_name();
+  for (auto parsed = app.get_subcommands(); !parsed.empty(); parsed = parsed.front()->get_subcommands()) {
+    name += " " + parsed.front()->get_name();
+  }
+  return name;
+}
+
+}  // namespace
 
 Params GivenParams(const CLI::App& app) {
   Params params;
@@ -42,6 +85,14 @@ void AddForcedOption(CLI::App& app, const std::string& name, std::optional<bool>
       ->group(kParameterGroup);
 }
 
+double ParseDuration(const std::string& text, const std::string& option) {
+  const double seconds = SecondsIn(text);
+  if (!(seconds >= 1 && seconds < 1e9)) {
+    throw UsageError(option + " is '" + text + "': give a time of a second or more, as 90s, 10m, 1h or 1h30m");
+  }
+  return seconds;
+}
+
 int StageMain(CLI::App& app, int argc, char** argv, const std::function<void()>& body) {
   const auto fail = [](ExitCode code, const std::string& message) {
     std::fprintf(stderr, "error: %s\n", message.c_str());
@@ -52,7 +103,7 @@ int StageMain(CLI::App& app, int argc, char** argv, const std::function<void()>&
   } catch (const CLI::Success& success) {  // --help, --version
     return app.exit(success);
   } catch (const CLI::Error& error) {
-    return fail(ExitCode::kUsage, std::string(error.what()) + " (see " + app.get_name() + " --help)");
+    return fail(ExitCode::kUsage, std::string(error.what()) + " (see " + CommandName(app) + " --help)");
   }
   try {
     body();

@@ -25,6 +25,9 @@ void AddVerbosity(CLI::App& app);
 void AddForcedOption(CLI::App& app, const std::string& name, std::optional<bool>& value, const std::string& needed,
                      const std::string& not_needed, const std::string& help);
 
+// "90s", "10m", "1h", "1h30m", "600" (seconds) in seconds. Throws UsageError naming `option`.
+double ParseDuration(const std::string& text, const std::string& option);
+
 // Parses, runs `body`, maps Error and std::exception to exit codes and one "error: …" line on stderr. Throws nothing.
 // bad_alloc and ENOSPC end with kResource.
 int StageMain(CLI::App& app, int argc, char** argv, const std::function<void()>& body);

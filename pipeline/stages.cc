@@ -43,7 +43,7 @@ const std::vector<Stage>& Table() {
        "nrff-train",
        "",
        {{"--scene", "pose"}},
-       {"preset", "set", "steps", "budget-seconds", "seed", "fine-levels", "sparse-depth", "device"},
+       {"preset", "set", "steps", "budget", "seed", "fine-levels", "sparse-depth", "device"},
        {},
        true,
        2048 * kMebibyte},
@@ -67,6 +67,24 @@ constexpr std::string_view kReport = "report";
 int OrderOf(const std::string& stage) {
   const auto& names = StageNames();
   return static_cast<int>(std::find(names.begin(), names.end(), stage) - names.begin());
+}
+
+int Last(const BranchRequest& request) {
+  return request.until.empty() ? OrderOf(std::string(kReport)) : OrderOf(request.until);
+}
+
+// Those of the options that were given.
+Params Given(const std::vector<std::string>& names, const BranchRequest& request) {
+  Params given;
+  for (const std::string& name : names) {
+    const auto option = request.options.find(name);
+    if (option != request.options.end()) given.insert(*option);
+  }
+  return given;
+}
+
+void AddOptions(const Params& given, std::vector<std::string>& command) {
+  for (const auto& [name, value] : given) command.insert(command.end(), {"--" + name, value});
 }
 
 Node MakeNode(const Stage& stage, const BranchRequest& request, const Machine& machine, bool posed) {
@@ -98,14 +116,8 @@ Node MakeNode(const Stage& stage, const BranchRequest& request, const Machine& m
     }
     node.command.insert(node.command.end(), {"--out", node.artifact.string()});
   }
-  for (const bool is_param : {true, false}) {
-    for (const std::string& name : is_param ? stage.params : stage.others) {
-      const auto given = request.options.find(name);
-      if (given == request.options.end()) continue;
-      if (is_param) node.params.insert(*given);
-      node.command.insert(node.command.end(), {"--" + name, given->second});
-    }
-  }
+  node.params = Given(stage.params, request);
+  for (const Params& given : {node.params, Given(stage.others, request)}) AddOptions(given, node.command);
   if (stage.takes_threads && !request.threads.empty()) {
     node.command.insert(node.command.end(), {"--threads", request.threads});
     node.cores = std::min(machine.cores, std::stoi(request.threads));
@@ -119,9 +131,8 @@ std::vector<Node> NodesAfterIngest(const BranchRequest& request, const Machine& 
     LogWarning(request.name + " brings its poses: no photos are matched, whatever was said of exhaustive_matching");
   }
   std::vector<Node> nodes;
-  const int last = request.until.empty() ? OrderOf(std::string(kReport)) : OrderOf(request.until);
   for (const Stage& stage : Table()) {
-    if (stage.name == "ingest" || (posed && stage.name == "sfm") || OrderOf(stage.name) > last) continue;
+    if (stage.name == "ingest" || (posed && stage.name == "sfm") || OrderOf(stage.name) > Last(request)) continue;
     nodes.push_back(MakeNode(stage, request, machine, posed));
   }
   return nodes;
@@ -155,6 +166,14 @@ std::vector<Node> BranchToRunAgain(const BranchRequest& request, const Machine& 
     node.when = again ? When::kAlways : When::kNever;
   }
   return nodes;
+}
+
+std::vector<std::string> TrainingOptions(const BranchRequest& request) {
+  if (OrderOf("train") > Last(request)) return {};
+  const Stage& train = Table()[OrderOf("train")];
+  std::vector<std::string> command = {(request.executables / train.program).string()};
+  AddOptions(Given(train.params, request), command);
+  return command;
 }
 
 fs::path ExecutableFolder() { return fs::canonical("/proc/self/exe").parent_path(); }

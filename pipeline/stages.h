@@ -21,7 +21,7 @@ struct BranchRequest {
   Workspace workspace;
   std::filesystem::path capture;      // absolute
   std::filesystem::path executables;  // the folder of the stages' programs
-  Params options;       // that change results, as given: preset, steps, budget-seconds, seed, device, max-image-size
+  Params options;       // that change results, as given: preset, steps, budget, seed, device, max-image-size
   std::string threads;  // as given, or empty
   std::string from;     // this stage and what follows it runs again; empty: nothing for that reason
   std::string until;    // the last stage; empty: all
@@ -34,6 +34,9 @@ Node FirstNode(const BranchRequest& request, const Machine& machine);
 // what ingest found.
 std::vector<Node> BranchToRunAgain(const BranchRequest& request, const Machine& machine, bool posed,
                                    const std::vector<std::string>& stages);
+
+// The training program with the options that it would be given; empty where the branch ends before training.
+std::vector<std::string> TrainingOptions(const BranchRequest& request);
 
 // Where the program that is running lies.
 std::filesystem::path ExecutableFolder();

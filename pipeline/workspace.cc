@@ -87,6 +87,14 @@ void Workspace::WriteMarker(const Marker& marker) const {
                                        {"options", marker.options}});
 }
 
+Manifest Workspace::Require(const std::string& stage) const {
+  if (!ReadManifest(Artifact(stage))) {
+    throw InputError(EscapePath(root_) + " has no finished " + stage + " yet: `nrff run " + EscapePath(root_) +
+                     "` makes it");
+  }
+  return RequireArtifact(Artifact(stage), stage);
+}
+
 void Workspace::Record(const std::string& stage, const StageRecord& record) const {
   WriteJson(RecordPath(*this, stage),
             {{"reused", record.reused}, {"exit_code", record.exit_code}, {"error", record.error}});

@@ -42,6 +42,9 @@ class Workspace {
   void Claim(const std::filesystem::path& capture) const;
   void WriteMarker(const Marker& marker) const;
 
+  // The manifest of a finished stage. Throws InputError when it has not been made, CorruptError when it is damaged.
+  Manifest Require(const std::string& stage) const;
+
   void Record(const std::string& stage, const StageRecord& record) const;
   std::optional<StageRecord> LastRecord(const std::string& stage) const;
 

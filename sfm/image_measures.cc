@@ -94,6 +94,7 @@ Background PlainBackground(const std::vector<FrameShares>& frames) {
   if (frames.empty()) return Background::kNone;
   const auto median = [&](double FrameShares::*share) {
     std::vector<double> values;
+    values.reserve(frames.size());
     for (const FrameShares& frame : frames) values.push_back(frame.*share);
     std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(values.size() / 2), values.end());
     return values[values.size() / 2];

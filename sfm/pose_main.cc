@@ -68,7 +68,7 @@ int main(int argc, char** argv) {
   fs::path sfm;
   normalise->add_option("--sfm", sfm, "Artifact of `nrff-pose estimate`; default: the poses that the capture brought");
   normalise->add_option("--max-image-size", pose.max_image_size, "Longer side of the packed photos, px")
-      ->check(CLI::Range(16, 65536))
+      ->check(CLI::Range(nrff::kLeastMaxImageSize, 65536))
       ->capture_default_str()
       ->group(nrff::kParameterGroup);
   nrff::AddForcedOption(*normalise, "--undistortion", pose.undistortion, "on", "off",

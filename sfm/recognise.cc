@@ -1,7 +1,12 @@
 #include "sfm/recognise.h"
 
 #include <algorithm>
+#include <array>
+#include <cctype>
+#include <optional>
+#include <set>
 #include <string>
+#include <string_view>
 #include <system_error>
 #include <utility>
 #include <vector>
@@ -17,6 +22,35 @@ namespace {
 
 namespace fs = std::filesystem;
 
+// Why a file that somebody may take for part of the capture is passed over; nothing for other files.
+std::optional<std::string> WhyPassedOver(const fs::path& file) {
+  constexpr std::array<std::string_view, 11> kRaw = {".nef", ".nrw", ".cr2", ".cr3", ".arw", ".dng",
+                                                     ".raf", ".orf", ".rw2", ".pef", ".srw"};
+  constexpr std::array<std::string_view, 6> kVideo = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm"};
+  std::string extension = file.extension();
+  std::transform(extension.begin(), extension.end(), extension.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  const auto is_one_of = [&](const auto& known) {
+    return std::find(known.begin(), known.end(), extension) != known.end();
+  };
+  if (is_one_of(kRaw)) return "is a camera raw file: export it as JPEG or TIFF";
+  if (is_one_of(kVideo)) return "is a video: save frames of it as photos (ffmpeg -i VIDEO -vf fps=2 %05d.png)";
+  return {};
+}
+
+// Raw files that lie beside a photo of the same name are its originals.
+void RejectPassedOver(const std::vector<fs::path>& files, Source& source) {
+  std::set<fs::path> photos;
+  for (const SourceImage& image : source.images) photos.insert(fs::path(image.path).replace_extension());
+  for (const fs::path& file : files) {
+    const fs::path path = file.lexically_relative(source.root);
+    const std::optional<std::string> why = WhyPassedOver(path);
+    if (why && !photos.contains(fs::path(path).replace_extension())) {
+      source.rejected.push_back({EscapePath(path), *why});
+    }
+  }
+}
+
 Source ReadPhotoFolder(const fs::path& root) {
   Source source;
   source.kind = "photos";
@@ -25,10 +59,13 @@ Source ReadPhotoFolder(const fs::path& root) {
   for (const fs::path& file : files) {
     if (HasPhotoExtension(file)) source.images.push_back({file.lexically_relative(root), {}});
   }
+  RejectPassedOver(files, source);
   if (source.images.empty()) {
-    throw InputError(EscapePath(root) + ": holds no capture (" + std::to_string(files.size()) +
-                     " files, none of them a photo); expected photos (JPEG, PNG, TIFF, WebP, HEIC), transforms.json,"
-                     " an NSVF layout or a COLMAP model with images");
+    const RejectedFile* near = source.rejected.empty() ? nullptr : &source.rejected.front();
+    throw InputError(EscapePath(root) + ": holds no capture (files: " + std::to_string(files.size()) +
+                     ", photos: none" + (near ? "; " + near->name + " " + near->reason : "") +
+                     "); expected photos (JPEG, PNG, TIFF, WebP, HEIC), transforms.json, an NSVF layout or a COLMAP"
+                     " model with images");
   }
   source.evidence = std::to_string(source.images.size()) + " photos";
   return source;

@@ -13,11 +13,12 @@
 #include <optional>
 
 #include "pipeline/manifest.h"
+#include "pipeline/scene.h"
 
 namespace nrff {
 
 struct PoseOptions {
-  int max_image_size = 800;          // px, longer side
+  int max_image_size = kMaxImageSize;          // px, longer side
   std::optional<bool> undistortion;  // forced either way
   std::optional<bool> contraction;   // forced either way
   int n_threads = 1;

@@ -31,8 +31,8 @@ Sighting See(const View& view, uint32_t index, const ColmapObservation& observat
   Matrix3d rotation;
   Vector3d center;
   for (int i = 0; i < 3; ++i) {
-    for (int j = 0; j < 3; ++j) rotation(i, j) = view.scene_from_camera[size_t(4 * i + j)];
-    center[i] = view.scene_from_camera[size_t(4 * i + 3)];
+    for (int j = 0; j < 3; ++j) rotation(i, j) = view.scene_from_camera[4 * size_t(i) + size_t(j)];
+    center[i] = view.scene_from_camera[4 * size_t(i) + 3];
   }
   const Vector3d in_camera((observation.x - view.cx) / view.fx, (observation.y - view.cy) / view.fy, 1);
   return {index, center, (rotation * in_camera).normalized(), std::sqrt(view.fx * view.fy)};
@@ -49,6 +49,7 @@ std::vector<Sighting> TrainingSightings(const ColmapModel& model, const ColmapPo
     by_view.emplace(view->second, See(scene.views[view->second], view->second, observation));
   }
   std::vector<Sighting> sightings;
+  sightings.reserve(by_view.size());
   for (const auto& [view, sighting] : by_view) sightings.push_back(sighting);
   return sightings;
 }

@@ -27,7 +27,6 @@ namespace fs = std::filesystem;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
-using ::testing::IsSupersetOf;
 using ::testing::Not;
 
 class DriverTest : public ::testing::Test {
@@ -129,7 +128,7 @@ TEST_F(DriverTest, OptionGoesToItsStageAndMakesThatAndWhatFollowsStale) {
   Ran();
   EXPECT_EQ(RunFox({"--preset", "tiny", "--budget", "1m"}).exit_code, 0);
   EXPECT_THAT(Ran(), ElementsAre("train", "render", "eval"));
-  const Params expected = {{"preset", "tiny"}, {"budget-seconds", "60"}};
+  const Params expected = {{"preset", "tiny"}, {"budget", "60s"}};
   EXPECT_EQ(ReadManifest(root_ / "work/train")->params, expected);
   RunFox({"--preset", "tiny", "--budget", "60s", "--threads", "1"});
   EXPECT_THAT(Ran(), IsEmpty());
@@ -164,7 +163,7 @@ TEST_F(DriverTest, WorkspaceStandsForItsCaptureAndLastOptions) {
   Nrff({"run", Path("work"), "--steps", "11"});
   EXPECT_THAT(Ran(), ElementsAre("train", "render", "eval"));
   Nrff({"run", Path("work"), "--budget", "1m"});
-  EXPECT_EQ(ReadManifest(root_ / "work/train")->params, (Params{{"budget-seconds", "60"}}));
+  EXPECT_EQ(ReadManifest(root_ / "work/train")->params, (Params{{"budget", "60s"}}));
 }
 
 TEST_F(DriverTest, FromUntilAndForceChooseTheStages) {
@@ -221,6 +220,42 @@ TEST_F(DriverTest, PlanAndDryRunTellReasonsAndWriteNothing) {
   EXPECT_EQ(later[2].at("state"), "reuse");
   EXPECT_EQ(later[3].at("reason"), "was made with --steps 10, now it is 11");
   EXPECT_EQ(later[4].at("state"), "decide");
+}
+
+TEST_F(DriverTest, PlanTellsWhatTrainingWillDoWhatIsForcedAndWhatIsStillOpen) {
+  const ProgramResult plan = Nrff({"plan", Path("fox"), "--leave-out", "sparse_depth", "--max-image-size", "400"});
+  EXPECT_EQ(plan.exit_code, 0) << plan.err;
+  EXPECT_THAT(plan.out, HasSubstr("training: preset small, 8000 steps, on cpu, photos of at most 400 px"));
+  EXPECT_THAT(plan.out, HasSubstr("left out: sparse_depth — asked for on the command line; forced by an option"));
+  EXPECT_THAT(plan.out, HasSubstr("measured then: exhaustive_matching, undistortion, contraction, fine_levels\n"));
+  EXPECT_THAT(Nrff({"plan", Path("fox")}, {{"FAKE_POSED", "1"}}).out, Not(HasSubstr("exhaustive_matching")));
+}
+
+TEST_F(DriverTest, WhatTrainingWouldRefuseIsRefusedFirst) {
+  const ProgramResult refused = RunFox({"--preset", "huge"});
+  EXPECT_EQ(refused.exit_code, 2);
+  EXPECT_THAT(refused.Errors(), ElementsAre("error: --preset 'huge' is not known"));
+  EXPECT_THAT(Ran(), IsEmpty());
+  EXPECT_FALSE(fs::exists(root_ / "work"));
+  EXPECT_EQ(RunFox({"--preset", "huge", "--until", "pose"}).exit_code, 0);
+}
+
+TEST_F(DriverTest, MistypedCommandLinesNameTheHelpThatHelps) {
+  EXPECT_THAT(Nrff({}).err, HasSubstr("give a command: run, plan,"));
+  EXPECT_THAT(Nrff({"pln", "fox"}).err, HasSubstr("pln"));
+  EXPECT_THAT(Nrff({"run", "fox", "--sed", "3"}).err, HasSubstr("--sed (see nrff run --help)"));
+  EXPECT_THAT(Nrff({"render", Path("fox"), "--path", "orbitt", "-o", "x.mp4"}).err,
+              HasSubstr("'orbitt' is neither orbit nor spiral nor a file of poses"));
+}
+
+TEST_F(DriverTest, StatusTellsTheScoresAndWhereTheReportIs) {
+  RunFox({"--until", "pose"});
+  EXPECT_THAT(Nrff({"status", Path("work")}).out, Not(HasSubstr("report.html")));
+  RunFox();
+  EXPECT_THAT(Nrff({"status", Path("work")}).out, HasSubstr("report   " + Path("work/report/report.html")));
+  const Json status = Json::parse(Nrff({"status", Path("work"), "--json"}).out);
+  EXPECT_EQ(status["workspaces"][0]["report"], Path("work/report/report.html"));
+  EXPECT_TRUE(status["workspaces"][0]["metrics"]["psnr"].is_null());  // the stand-in measures nothing
 }
 
 TEST_F(DriverTest, FailureSaysWhatAndWhereAndIsRemembered) {
@@ -326,6 +361,14 @@ TEST_F(DriverTest, EvalRunsNothingButEvalAndReport) {
   EXPECT_EQ(Nrff({"eval", Path("fox")}).exit_code, 3);
 }
 
+TEST_F(DriverTest, EvalWithoutRendersSaysHowToMakeThemAndRecordsNothing) {
+  RunFox({"--until", "pose"});
+  const ProgramResult result = Nrff({"eval", Path("work")});
+  EXPECT_EQ(result.exit_code, 3);
+  EXPECT_THAT(result.err, HasSubstr("has no finished render yet: `nrff run " + Path("work") + "` makes it"));
+  EXPECT_FALSE(Workspace(Path("work")).LastRecord("eval"));
+}
+
 TEST_F(DriverTest, PathIsEncodedOrKeptAsFramesWithTheWayToGetFfmpeg) {
   RunFox();
   fs::create_directories(root_ / "tools");
@@ -366,139 +409,6 @@ TEST_F(DriverTest, QuietRunSaysNothing) {
   const ProgramResult result = RunFox({"--quiet"});
   EXPECT_EQ(result.exit_code, 0);
   EXPECT_EQ(result.out + result.err, "");
-}
-
-TEST(DurationTest, UnitsAddUpAndNonsenseIsRefused) {
-  EXPECT_EQ(ParseDuration("90s", "--budget"), 90);
-  EXPECT_EQ(ParseDuration("10m", "--budget"), 600);
-  EXPECT_EQ(ParseDuration("1h30m", "--budget"), 5400);
-  EXPECT_EQ(ParseDuration("1.5h", "--budget"), 5400);
-  EXPECT_EQ(ParseDuration("600", "--budget"), 600);
-  for (const char* text : {"", "m", "-5m", "10x", "10m5", "0", "1e999s", "nan", "inf", " 5m", "5 m"}) {
-    EXPECT_THROW(ParseDuration(text, "--budget"), Error) << text;
-  }
-}
-
-TEST(WorkspaceTest, NamesAreSafeAndOneForEachCapture) {
-  const TemporaryDirectory directory;
-  const fs::path root = directory.path();
-  EXPECT_EQ(CaptureName("/a/my fox"), "my_fox");
-  EXPECT_EQ(CaptureName("/a/ch\xC3\xA2teau"), "ch\xC3\xA2teau");
-  EXPECT_EQ(CaptureName("/a/.hidden"), "hidden");
-  EXPECT_EQ(CaptureName("/a/\xFF\n"), "_FF_0A");
-  EXPECT_EQ(CaptureName("/"), "capture");
-
-  EXPECT_EQ(WorkspaceFor("/a/report", root / "work", {}).root(), root / "work/report-2");
-  const Workspace first = WorkspaceFor("/a/fox", root / "work", {});
-  EXPECT_EQ(first.root(), root / "work/fox");
-  EXPECT_EQ(WorkspaceFor("/b/fox", root / "work", {first.root()}).root(), root / "work/fox-2");
-  first.Claim("/a/fox");
-  EXPECT_EQ(WorkspaceFor("/b/fox", root / "work", {}).root(), root / "work/fox-2");
-  EXPECT_EQ(WorkspaceFor("/a/fox", root / "work", {}).root(), root / "work/fox");
-}
-
-TEST(RealDiskTest, OnlyWholeArtifactsCountAndNewerOnesAreNotTouched) {
-  const TemporaryDirectory directory;
-  const fs::path out = directory.path() / "train";
-  RealDisk disk;
-  EXPECT_EQ(disk.ReadArtifact(out).problem, "has not been made");
-  const auto make = [&] {
-    ArtifactWriter artifact("train", out, {}, {});
-    EXPECT_EQ(disk.ReadArtifact(out).problem, "was begun but not finished");
-    WriteFileAtomically(artifact.dir() / "model", "weights");
-    artifact.AddOutput("model");
-    artifact.Commit();
-  };
-  make();
-  EXPECT_TRUE(disk.ReadArtifact(out).manifest);
-  fs::resize_file(out / "model", 3);
-  EXPECT_THAT(disk.ReadArtifact(out).problem, HasSubstr("model"));
-  fs::remove(out / "model");
-  EXPECT_THAT(disk.ReadArtifact(out).problem, HasSubstr("model"));
-
-  const std::string manifest = ReadFile(out / kManifestName);
-  for (size_t size = 0; size + 1 < manifest.size(); size += 7) {  // cut anywhere
-    WriteFileAtomically(out / kManifestName, manifest.substr(0, size));
-    EXPECT_FALSE(disk.ReadArtifact(out).manifest) << size;
-  }
-  Json newer = Json::parse(manifest);
-  newer["schema_version"] = kManifestSchemaVersion + 1;
-  WriteJson(out / kManifestName, newer);
-  EXPECT_THROW(disk.ReadArtifact(out), Error);
-}
-
-TEST(LocalExecutorTest, ProgressLinesAndErrorsComeThroughAndJobsRunAtOnce) {
-  const TemporaryDirectory directory;
-  LocalExecutor executor;
-  std::vector<std::string> lines;
-  double done = 0;
-  const auto start = std::chrono::steady_clock::now();
-  Job job;
-  job.command = {
-      "sh", "-c",
-      R"(echo '{"what":"w","done":3,"total":4,"unit":"u","seconds_left":null,"text":""}' >/proc/self/fd/$NRFF_PROGRESS_FD
-                    echo nonsense >/proc/self/fd/$NRFF_PROGRESS_FD; echo out; echo 'error: too bad' >&2; sleep 0.5; exit 5)"};
-  job.log = directory.path() / "log";
-  job.on_line = [&](const std::string& line) { lines.push_back(line); };
-  job.on_progress = [&](const ProgressUpdate& update) {
-    done = update.done;
-    EXPECT_FALSE(update.seconds_left);
-  };
-  executor.Start(job);
-  executor.Start({{"sh", "-c", "sleep 0.5; kill -KILL $$"}, {}, {}, {}});
-  executor.Start({{"/nowhere/program"}, {}, {}, {}});
-  std::map<int, JobResult> results;
-  for (int i = 0; i < 3; ++i) {
-    const Executor::Finished finished = executor.Wait();
-    results[finished.job] = finished.result;
-  }
-  EXPECT_LT(std::chrono::steady_clock::now() - start, std::chrono::milliseconds(950));
-  EXPECT_EQ(results[0].exit_code, 5);
-  EXPECT_EQ(results[0].error, "too bad");
-  EXPECT_GT(results[0].peak_memory_bytes, 100000u);
-  EXPECT_THAT(lines, IsSupersetOf({"out", "error: too bad"}));
-  EXPECT_THAT(ReadFile(directory.path() / "log"), HasSubstr("too bad"));
-  EXPECT_EQ(done, 3);
-  EXPECT_EQ(results[1].exit_code, 128 + SIGKILL);
-  EXPECT_THAT(results[1].error, HasSubstr("signal 9"));
-  EXPECT_EQ(results[2].exit_code, static_cast<int>(ExitCode::kExternalTool));
-  EXPECT_EQ(executor.StopSignal(), 0);
-}
-
-TEST(ProgressViewTest, TerminalKeepsOneBarPerStageBelowTheLines) {
-  std::ostringstream out;
-  std::chrono::steady_clock::time_point now{};
-  ProgressView view(
-      out, [] { return 80; }, [&] { return now; });
-  view.Begin("fox/train");
-  view.Begin("castle/sfm");
-  now += std::chrono::seconds(3);
-  out.str("");
-  view.Update("fox/train", {"training", "steps", "loss 0.1", 50, 200, 30.0});
-  EXPECT_THAT(out.str(), HasSubstr("\033[2A"));  // both bars are drawn over
-  EXPECT_THAT(out.str(), HasSubstr("fox/train   [######------------------]  25 %  training 50/200 steps, 30 s left"));
-  EXPECT_THAT(out.str(), HasSubstr("castle/sfm  3.0 s\n"));
-  std::istringstream lines(out.str());
-  for (std::string line; std::getline(lines, line);) EXPECT_LE(line.size(), 80u + 8);  // 8: the escape sequence
-  out.str("");
-  view.End("castle/sfm");
-  view.Print("a line");
-  EXPECT_THAT(out.str(), HasSubstr("\033[1A\r\033[Ja line\nfox/train"));
-}
-
-TEST(ProgressViewTest, ElsewhereAPlainLineEveryTenSeconds) {
-  std::ostringstream out;
-  std::chrono::steady_clock::time_point now{};
-  ProgressView view(
-      out, [] { return 0; }, [&] { return now; });
-  view.Begin("train");
-  for (int second = 0; second < 25; ++second) {
-    now += std::chrono::seconds(1);
-    view.Update("train", {"training", "steps", "", double(second), 25, {}});
-    view.Tick();
-  }
-  view.End("train");
-  EXPECT_EQ(out.str(), "train: training 9/25 steps\ntrain: training 19/25 steps\n");
 }
 
 }  // namespace

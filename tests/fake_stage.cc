@@ -32,8 +32,8 @@ void Note(const std::string& line) {
   if (!path.empty()) std::ofstream(path, std::ios::app) << line << std::endl;
 }
 
-const std::set<std::string> kParams = {"preset",       "steps",       "budget-seconds", "seed", "max-image-size",
-                                       "undistortion", "contraction", "matching",       "set",  "fine-levels",
+const std::set<std::string> kParams = {"preset",       "steps",       "budget",   "seed", "max-image-size",
+                                       "undistortion", "contraction", "matching", "set",  "fine-levels",
                                        "sparse-depth"};
 const std::set<std::string> kInputs = {"ingest", "sfm", "scene", "model", "renders"};
 
@@ -54,6 +54,15 @@ int main(int argc, char** argv) {
   }
   const bool posed = !Environment("FAKE_POSED").empty();
   nrff::Json facts = {{"posed", posed}, {"kind", "photos"}, {"n_images", 8}};
+  if (options.contains("probe") && fs::path(argv[0]).filename() == "nrff-train") {
+    if (options["preset"] == "huge") {
+      std::cerr << "error: --preset 'huge' is not known" << std::endl;
+      return 2;
+    }
+    std::cout << nrff::Json({{"preset", "small"}, {"device", "cpu"}, {"steps", 8000}, {"budget_seconds", 0}}).dump()
+              << std::endl;
+    return 0;
+  }
   if (options.contains("probe")) {
     std::cout << facts.dump() << std::endl;
     return 0;

@@ -261,7 +261,7 @@ TEST_F(GraphTest, StageThatRecordsOtherParametersIsReported) {
   AddBranch("x");
   NodeOf("x/b").params = {{"seed", "1"}};
   executor_.run = [this](const std::string& id) {
-    const JobResult result = RunStage(id);
+    JobResult result = RunStage(id);
     disk_.manifests["/work/x/b"].params = {};
     return result;
   };

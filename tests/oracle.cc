@@ -47,6 +47,7 @@ Tensor Oracle::Density(const Tensor& feature) const {
 
 Tensor Oracle::AppearanceFeature(const Tensor& points) const {
   std::vector<Tensor> levels;
+  levels.reserve(size_t(settings_.levels));
   for (int level = 0; level < settings_.levels; ++level) {
     levels.push_back(Products("appearance", level, points).flatten(0, 1).t());
   }

@@ -367,100 +367,6 @@ TEST(CropGrid, KeepsWhatIsLinearAndIsTheIdentityForTheWholeBox) {
   for (int i = 0; i < 40; ++i) EXPECT_NEAR(after[i], before[i], 1e-12);
 }
 
-TEST(Schedule, RunsFromItsFirstValuesToItsLast) {
-  const TrainConfig config = MakePreset("small", false).train;
-  EXPECT_EQ(StepStage(config, 0), 0);
-  EXPECT_EQ(StepStage(config, 1), int(config.step_voxels.size()) - 1);
-  EXPECT_NEAR(WeightThreshold(config, 0), config.weight_threshold_first, 1e-12);
-  EXPECT_NEAR(WeightThreshold(config, 1), config.weight_threshold_last, 1e-12);
-  EXPECT_NEAR(RateFactor(config, 0, 0), 1, 1e-12);
-  EXPECT_NEAR(RateFactor(config, 1, 0), config.final_rate, 1e-12);
-  EXPECT_DOUBLE_EQ(CurveMoment(kCurvePoints - 1), 1);
-  for (int i = 1; i < kCurvePoints; ++i) EXPECT_GT(CurveMoment(i), CurveMoment(i - 1));
-}
-
-TEST(Presets, FewViewsLeaveOutFineLevelsAndKeepTheRatioOfThoseThatStay) {
-  const Preset small = MakePreset("small", true);
-  Preset few = small;
-  EXPECT_FALSE(FitDepths(few, 3, /*unbounded=*/true).needed);
-  EXPECT_EQ(few.train.depth_weight, 0);
-  EXPECT_FALSE(FitLevelsToViews(few, "small", 9).needed);
-  EXPECT_EQ(few.field.max_resolution, 64);
-  EXPECT_EQ(few.field.levels, 5);  // 16 … 64 of the eight levels 16 … 256
-
-  Preset many = small;
-  EXPECT_FALSE(FitDepths(many, 50000, /*unbounded=*/false).needed) << "silhouettes do";
-  EXPECT_TRUE(FitLevelsToViews(many, "small", 43).needed);
-  EXPECT_EQ(many.field, small.field);
-
-  Preset held = small;
-  EXPECT_TRUE(FitDepths(held, 2000, /*unbounded=*/true).needed);
-  EXPECT_TRUE(FitLevelsToViews(held, "small", 9).needed) << "sparse depths hold the surfaces";
-  EXPECT_EQ(held.field, small.field);
-}
-
-TEST(Presets, PaperStaysAsPublished) {
-  const Preset paper = MakePreset("paper", true);
-  Preset fitted = paper;
-  EXPECT_FALSE(FitDepths(fitted, 2000, /*unbounded=*/true).needed);
-  EXPECT_TRUE(FitLevelsToViews(fitted, "paper", 9).needed);
-  EXPECT_EQ(fitted.field, paper.field);
-  EXPECT_EQ(fitted.train.depth_weight, 0);
-}
-
-TEST(Presets, ForcedDecisionsChangeTheModelAsTheySay) {
-  const Preset small = MakePreset("small", true);
-  Preset preset = small;
-  EXPECT_FALSE(FitDepths(preset, 2000, true, false).needed);
-  EXPECT_EQ(preset.train.depth_weight, 0);
-  EXPECT_TRUE(FitDepths(preset, 2000, false, true).needed);
-  EXPECT_GT(preset.train.depth_weight, 0);
-  EXPECT_TRUE(FitLevelsToViews(preset, "small", 3, true).needed);
-  EXPECT_EQ(preset.field, small.field);
-  EXPECT_FALSE(FitLevelsToViews(preset, "small", 100, false).needed);
-  EXPECT_EQ(preset.field.max_resolution, 128) << "an octave less";
-  Preset paper = MakePreset("paper", true);
-  EXPECT_TRUE(FitDepths(paper, 10, true, true).needed);
-  EXPECT_GT(paper.train.depth_weight, 0);
-  EXPECT_FALSE(FitLevelsToViews(paper, "paper", 9, false).needed);
-  EXPECT_EQ(paper.field.max_resolution, 64);
-  EXPECT_THROW(FitDepths(preset, 0, true, true), Error) << "there are none";
-}
-
-TEST(Presets, SingleValuesCanBeSetAndWhatCannotBeIsNamed) {
-  Preset preset = MakePreset("small", true);
-  ApplySettings("field.levels=10  train.step_voxels=[10,20] train.step_moments=[0.5] train.lazy_grids=false", preset);
-  EXPECT_EQ(preset.field.levels, 10);
-  EXPECT_EQ(preset.train.step_voxels, (std::vector{10, 20}));
-  EXPECT_FALSE(preset.train.lazy_grids);
-  const Preset before = preset;
-  for (const auto& [setting, text] : std::vector<std::pair<std::string, std::string>>{
-           {"levels=3", "field.KEY=VALUE"},
-           {"field.level=3", "there is no field.level; there are"},
-           {"field.levels=three", "another kind of value than the preset's 10"},
-           {"field.levels=3.7", "another kind of value"},
-           {"field.levels=1e30", "another kind of value"},
-           {"field.levels=4294967300", "too large"},
-           {"field.levels=0", "levels is 0, expected 1 to"},
-           {"train.grid_rate=-1", "rates and epsilon must be positive"},
-           {"train.depth_weight=-1", "must not be negative"},
-           {"train.occupancy_resolution=100", "multiple of 8"},
-           {"train.lazy_grids=1", "another kind of value than the preset's false"},
-           {"train.step_voxels=[true,false]", "another kind of value"},
-           {"train.step_voxels=[1,2,3]", "one entry more"}}) {
-    SCOPED_TRACE(setting);
-    Preset changed = before;
-    try {
-      ApplySettings(setting, changed);
-      FAIL();
-    } catch (const Error& error) {
-      EXPECT_EQ(error.code(), ExitCode::kUsage);
-      EXPECT_THAT(error.what(), HasSubstr(text));
-      EXPECT_EQ(changed.field, before.field);
-    }
-  }
-}
-
 TEST(DepthLossTest, IsTheLightThatDoesNotEndAtTheSurface) {
   const auto kDouble = torch::kDouble;
   const Tensor weights = at::tensor({0.2, 0.5, 0.1, 0.4}, kDouble).requires_grad_(true);
@@ -492,17 +398,6 @@ TEST_F(TrainTest, SparseDepthsBringTheSurfaceToWhereTheyAre) {
   };
   const double with = missed_light(0.1), without = missed_light(0);
   EXPECT_LT(with, 0.7 * without) << "with " << with << ", without " << without;
-}
-
-TEST(Presets, EachIsConsistentAndUnknownOnesAreNamed) {
-  for (const char* name : kPresetNames) {
-    for (const bool unbounded : {false, true}) {
-      const Preset preset = MakePreset(name, unbounded);
-      EXPECT_EQ(preset.train.step_voxels.size(), preset.train.step_moments.size() + 1) << name;
-      EXPECT_EQ(FieldConfigFromJson(ToJson(preset.field), name), preset.field) << name;
-    }
-  }
-  EXPECT_THROW(MakePreset("huge", false), Error);
 }
 
 }  // namespace

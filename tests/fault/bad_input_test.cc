@@ -93,7 +93,10 @@ INSTANTIATE_TEST_SUITE_P(
         RefusedCapture{"EmptyFolder", [](const fs::path&) {}, {"bad", "no capture"}},
         RefusedCapture{"NoPhotoAmongTheFiles",
                        [](const fs::path& dir) { WriteText(dir / "notes.txt", "none"); },
-                       {"bad", "none of them a photo"}},
+                       {"bad", "files: 1, photos: none"}},
+        RefusedCapture{"OnlyRawFiles",
+                       [](const fs::path& dir) { WriteText(dir / "DSC_1.NEF", "raw"); },
+                       {"bad", "photos: none", "DSC_1.NEF is a camera raw file: export it"}},
         RefusedCapture{"OnePhoto", [](const fs::path& dir) { WriteUnrelatedPhotos(dir, 1); }, {"bad", "one photo"}},
         RefusedCapture{"IdenticalPhotos",
                        [](const fs::path& dir) {
@@ -172,6 +175,24 @@ TEST(BadInput, CaptureThatIsNotThereIsNamed) {
 TEST(BadInput, UnknownOptionIsAUsageError) {
   ExpectError(RunProgram({"nrff-ingest", "--no-such-option"}), ExitCode::kUsage, {"nrff-ingest"});
   ExpectError(RunProgram({"nrff", "run", "photos", "--until", "tomorrow"}), ExitCode::kUsage, {"tomorrow"});
+}
+
+TEST(BadInput, WhatOnlyTrainingWouldRefuseIsRefusedBeforeAnythingRuns) {
+  const TemporaryDirectory temporary;
+  WriteUnrelatedPhotos(temporary.path() / "photos", 4);
+  const fs::path work = temporary.path() / "work";
+  const auto expect = [&](const std::vector<std::string>& options, ExitCode code, const std::string& fragment) {
+    for (const char* command : {"run", "plan"}) {
+      std::vector<std::string> line = {"nrff", command, temporary.path() / "photos", "--workspace", work};
+      line.insert(line.end(), options.begin(), options.end());
+      ExpectError(RunProgram(line), code, {fragment});
+      EXPECT_FALSE(fs::exists(work)) << command;
+    }
+  };
+  expect({"--preset", "huge"}, ExitCode::kUsage, "the presets are paper, small, tiny");
+  expect({"--set", "field.colour=3"}, ExitCode::kUsage, "there is no field.colour; there are");
+  expect({"--device", "cuda"}, ExitCode::kResource, "CPU only");
+  expect({"--max-image-size", "7"}, ExitCode::kUsage, "at least 16");
 }
 
 TEST(BadInput, RunSaysWhatIngestSays) {
