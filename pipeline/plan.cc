@@ -39,7 +39,7 @@ void AddKnownDecisions(Graph& graph, BranchPlan& plan) {
     if (posed && feature == "exhaustive_matching") continue;  // there is nothing to match
     const std::optional<bool> forced = ForcedDecision(plan.request, feature);
     if (!forced) continue;
-    Decision decision{feature, true, "asked for on the command line", "", ""};
+    Decision decision{feature, true, "nothing measured yet", "", ""};
     Force(decision, forced);
     AddDecision(plan.decisions, decision);
   }

@@ -226,7 +226,7 @@ TEST_F(DriverTest, PlanTellsWhatTrainingWillDoWhatIsForcedAndWhatIsStillOpen) {
   const ProgramResult plan = Nrff({"plan", Path("fox"), "--leave-out", "sparse_depth", "--max-image-size", "400"});
   EXPECT_EQ(plan.exit_code, 0) << plan.err;
   EXPECT_THAT(plan.out, HasSubstr("training: preset small, 8000 steps, on cpu, photos of at most 400 px"));
-  EXPECT_THAT(plan.out, HasSubstr("left out: sparse_depth — asked for on the command line; forced by an option"));
+  EXPECT_THAT(plan.out, HasSubstr("left out: sparse_depth — nothing measured yet; forced by an option"));
   EXPECT_THAT(plan.out, HasSubstr("measured then: exhaustive_matching, undistortion, contraction, fine_levels\n"));
   EXPECT_THAT(Nrff({"plan", Path("fox")}, {{"FAKE_POSED", "1"}}).out, Not(HasSubstr("exhaustive_matching")));
 }
@@ -234,7 +234,7 @@ TEST_F(DriverTest, PlanTellsWhatTrainingWillDoWhatIsForcedAndWhatIsStillOpen) {
 TEST_F(DriverTest, WhatTrainingWouldRefuseIsRefusedFirst) {
   const ProgramResult refused = RunFox({"--preset", "huge"});
   EXPECT_EQ(refused.exit_code, 2);
-  EXPECT_THAT(refused.Errors(), ElementsAre("error: --preset 'huge' is not known"));
+  EXPECT_THAT(refused.Errors(), ElementsAre("--preset 'huge' is not known"));
   EXPECT_THAT(Ran(), IsEmpty());
   EXPECT_FALSE(fs::exists(root_ / "work"));
   EXPECT_EQ(RunFox({"--preset", "huge", "--until", "pose"}).exit_code, 0);

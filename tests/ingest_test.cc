@@ -113,9 +113,9 @@ TEST_F(IngestTest, RawFilesAndVideosArePassedOverByNameUnlessTheirPhotoIsThere) 
 TEST_F(IngestTest, AnAbsentOrEmptyFolderIsAnErrorThatNamesIt) {
   EXPECT_THAT(ErrorOf(), AllOf(HasSubstr("cap"), HasSubstr("does not exist")));
   fs::create_directories(root_);
-  EXPECT_THAT(ErrorOf(), AllOf(HasSubstr("cap"), HasSubstr("0 files")));
+  EXPECT_THAT(ErrorOf(), AllOf(HasSubstr("cap"), HasSubstr("files: 0")));
   Write("readme.txt", "x");
-  EXPECT_THAT(ErrorOf(), HasSubstr("none of them a photo"));
+  EXPECT_THAT(ErrorOf(), HasSubstr("files: 1, photos: none"));
 }
 
 TEST_F(IngestTest, OnePhotoIsAnError) {
