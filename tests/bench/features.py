@@ -147,4 +147,5 @@ def main():
     arguments.out.with_suffix(".md").write_text(table(result))
 
 
-main()
+if __name__ == "__main__":
+    main()
