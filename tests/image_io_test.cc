@@ -75,6 +75,30 @@ TEST_F(ImageIoTest, JpegAndWebpAreRead) {
   }
 }
 
+TEST_F(ImageIoTest, HeicIsReadWhereOpenImageIoHasIt) {
+  if (!OIIO::ImageOutput::create("heif")) GTEST_SKIP() << "this OpenImageIO writes no HEIC to read";
+  PhotoOptions options;
+  options.width = 96;
+  options.height = 64;
+  // HEIC turns its pixels itself; EXIF's orientation is a leftover that must not turn them again.
+  options.metadata = [](OIIO::ImageSpec& spec) { spec.attribute("Orientation", 6); };
+  WritePhoto(dir_ / "a.heic", options, "heif");
+  const ImageInfo info = ProbeImage(dir_ / "a.heic");
+  const Image image = ReadImageOriented(dir_ / "a.heic");
+  EXPECT_EQ(info.orientation, 1);
+  EXPECT_EQ(info.width, 96);
+  ASSERT_EQ(image.width, 96);
+  ASSERT_EQ(image.height, 64);
+  ASSERT_EQ(image.channels, 3);
+  double error = 0;
+  for (int y = 0, i = 0; y < 64; ++y) {
+    for (int x = 0; x < 96; ++x) {
+      for (int c = 0; c < 3; ++c, ++i) error += std::abs(image.pixels[i] - TextureValue(options, x, y, c));
+    }
+  }
+  EXPECT_LT(error / double(image.pixels.size()), 30);  // lossy; another texture is 85 away
+}
+
 TEST_F(ImageIoTest, GreyBecomesRgb) {
   PhotoOptions options;
   options.channels = 1;
