@@ -8,6 +8,7 @@
 #include "pipeline/commands.h"
 #include "pipeline/error.h"
 #include "pipeline/files.h"
+#include "pipeline/log.h"
 #include "pipeline/scene.h"
 #include "pipeline/stage.h"
 
@@ -26,19 +27,21 @@ std::string CheckStage(const std::string& text) {
   return "'" + text + "' is no stage; the stages are " + all;
 }
 
-// Decisions that can be forced: the stages' option, and its words for needed and not needed.
+// Decisions that can be forced: the stage that makes them, its option, and the option's words for needed and not
+// needed.
 struct Forceable {
-  const char *feature, *option, *needed, *left_out;
+  const char *feature, *stage, *option, *needed, *left_out;
 };
-constexpr Forceable kForceable[] = {{"exhaustive_matching", "matching", "exhaustive", "sequential"},
-                                    {"undistortion", "undistortion", "on", "off"},
-                                    {"contraction", "contraction", "on", "off"},
-                                    {"sparse_depth", "sparse-depth", "on", "off"},
-                                    {"fine_levels", "fine-levels", "on", "off"}};
+constexpr Forceable kForceable[] = {{"exhaustive_matching", "sfm", "matching", "exhaustive", "sequential"},
+                                    {"undistortion", "pose", "undistortion", "on", "off"},
+                                    {"contraction", "pose", "contraction", "on", "off"},
+                                    {"sparse_depth", "train", "sparse-depth", "on", "off"},
+                                    {"fine_levels", "train", "fine-levels", "on", "off"}};
 
 // The form alone: what keys there are, the training program knows.
 std::string CheckSettings(const std::string& text) {
   std::istringstream words(text);
+  if (text.find_first_not_of(' ') == std::string::npos) return "is empty; give field.KEY=VALUE or train.KEY=VALUE";
   for (std::string word; words >> word;) {
     const size_t dot = word.find('.'), equals = word.find('=');
     const std::string group = word.substr(0, dot);
@@ -49,17 +52,15 @@ std::string CheckSettings(const std::string& text) {
   return {};
 }
 
-std::string CheckImageSize(const std::string& text) {
-  const std::string not_positive = CheckPositive(text);
-  if (!not_positive.empty() || std::stoll(text) >= kLeastMaxImageSize) return not_positive;
-  return "'" + text + "' px are too few; at least " + std::to_string(kLeastMaxImageSize) + " are needed";
-}
+std::string CheckImageSize(const std::string& text) { return CheckRange(text, kLeastMaxImageSize, kMostMaxImageSize); }
+
+std::string CheckThreads(const std::string& text) { return CheckRange(text, 1, kMostThreads); }
 
 std::string CheckFeature(const std::string& text) {
   std::string all;
-  for (const std::string& feature : ForceableFeatures()) {
-    if (text == feature) return {};
-    all += (all.empty() ? "" : ", ") + feature;
+  for (const Forceable& forceable : kForceable) {
+    if (text == forceable.feature) return {};
+    all += (all.empty() ? "" : ", ") + std::string(forceable.feature);
   }
   return "'" + text + "' is nothing that can be forced; that can be " + all;
 }
@@ -93,6 +94,17 @@ Params GivenOptions(const BranchOptions& options) {
   return params;
 }
 
+// An earlier version may have written options that this one does not have.
+void ForgetUnknown(const std::string& workspace, Params& options) {
+  const std::set<std::string> known = StageOptions();
+  std::erase_if(options, [&](const auto& option) {
+    if (known.contains(option.first)) return false;
+    LogWarning(workspace + " remembers --" + option.first + " " + option.second +
+               ", which this version does not have; it is left out");
+    return true;
+  });
+}
+
 std::string BranchName(const Workspace& workspace, std::set<std::string>& taken) {
   const std::string name = EscapePath(fs::weakly_canonical(workspace.root()).filename());
   std::string unique = name;
@@ -124,12 +136,17 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options) {
       "Shrink photos to this side (default: " + std::to_string(kMaxImageSize) + ")")
       ->check(CheckImageSize);
   const auto add_forced = [&](const char* name, std::vector<std::string>& features, const char* text) {
-    command.add_option(name, features, text)->type_name("FEATURE")->expected(1)->take_all()->check(CheckFeature);
+    command.add_option(name, features, text)
+        ->type_name("FEATURE")
+        ->expected(1)
+        ->take_all()
+        ->allow_extra_args(false)
+        ->check(CheckFeature);
   };
   add_forced("--need", options.need, "Use what `nrff plan` would leave out");
   add_forced("--leave-out", options.leave_out, "Leave out what `nrff plan` would use");
   add("--device", options.device, "NAME", "auto, cpu or cuda")->check(CheckDevice);
-  add("--threads", options.threads, "N", "Threads of one stage (default: all cores)")->check(CheckPositive);
+  add("--threads", options.threads, "N", "Threads of one stage (default: all cores)")->check(CheckThreads);
   add("--seed", options.seed, "N", "Of everything random")->check(CheckWhole);
   add("--from", options.from, "STAGE", "Run this stage and what follows it again")->check(CheckStage);
   add("--until", options.until, "STAGE", "Stop after this stage")->check(CheckStage);
@@ -161,6 +178,7 @@ std::vector<BranchRequest> MakeBranches(const BranchOptions& options) {
         throw UsageError("--workspace cannot be given with " + target + ", which is a workspace");
       }
       Workspace::Marker marker = workspace.ReadMarker();
+      ForgetUnknown(target, marker.options);
       request.capture = marker.capture;
       // Steps and a budget exclude each other: the one given now replaces the other one given before.
       if (given.contains("steps")) marker.options.erase("budget");
@@ -179,9 +197,13 @@ std::vector<BranchRequest> MakeBranches(const BranchOptions& options) {
   return requests;
 }
 
-std::vector<std::string> ForceableFeatures() {
+std::vector<std::string> ForceableFeatures(const std::vector<Node>& nodes) {
   std::vector<std::string> features;
-  for (const Forceable& forceable : kForceable) features.emplace_back(forceable.feature);
+  for (const Forceable& forceable : kForceable) {
+    if (std::any_of(nodes.begin(), nodes.end(), [&](const Node& node) { return node.stage == forceable.stage; })) {
+      features.emplace_back(forceable.feature);
+    }
+  }
   return features;
 }
 
@@ -222,8 +244,7 @@ Json ProbeCapture(Executor& executor, const BranchRequest& request) {
 }
 
 Json ProbeTraining(Executor& executor, const BranchRequest& request) {
-  const std::vector<std::string> command = TrainingOptions(request);
-  return command.empty() ? Json::object() : Probe(executor, command);
+  return Probe(executor, TrainingOptions(request));
 }
 
 fs::path CommonFolder(const std::vector<Workspace>& workspaces) {

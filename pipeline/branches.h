@@ -21,6 +21,9 @@ struct BranchOptions {
   bool force = false;
 };
 void AddBranchOptions(CLI::App& command, BranchOptions& options);
+// A line for the foot of their help.
+inline constexpr char kFeaturesHelp[] =
+    "FEATURE: exhaustive_matching undistortion contraction sparse_depth fine_levels\n";
 
 // One request per target. A target that is a workspace stands for its capture with the options of its last run, where
 // none are given now. Nothing is written. Throws UsageError, InputError.
@@ -34,12 +37,12 @@ std::optional<bool> ForcedDecision(const BranchRequest& request, const std::stri
 Json ProbeCapture(Executor& executor, const BranchRequest& request);
 
 // What the options mean to the training program, which is the one that knows presets, settings and devices (nrff-train
-// --probe): {"preset", "device", "steps", "budget_seconds", "decisions", …}; empty where the branch ends before
-// training. Throws Error with that program's own sentence and exit code.
+// --probe): {"preset", "device", "steps", "budget_seconds", "decisions", …}. Throws Error with that program's own
+// sentence and exit code.
 Json ProbeTraining(Executor& executor, const BranchRequest& request);
 
-// Features whose decision --need and --leave-out can force, in the order of the pipeline.
-std::vector<std::string> ForceableFeatures();
+// Features whose decision --need and --leave-out can force and one of these nodes makes, in the order of the pipeline.
+std::vector<std::string> ForceableFeatures(const std::vector<Node>& nodes);
 
 // The folder that all these workspaces lie in. Throws UsageError when they lie in several.
 std::filesystem::path CommonFolder(const std::vector<Workspace>& workspaces);

@@ -34,6 +34,11 @@ std::string CheckPositive(const std::string& text) {
   return "'" + text + "' is no whole number above zero";
 }
 
+std::string CheckRange(const std::string& text, int least, int most) {
+  if (IsWhole(text) && std::atoll(text.c_str()) >= least && std::atoll(text.c_str()) <= most) return {};
+  return "'" + text + "' is no whole number from " + std::to_string(least) + " to " + std::to_string(most);
+}
+
 std::string CheckDevice(const std::string& text) {
   if (text == "auto" || text == "cpu" || text == "cuda") return {};
   return "'" + text + "' is no device; give auto, cpu or cuda";

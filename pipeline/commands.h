@@ -34,6 +34,7 @@ void AddJsonOption(CLI::App& command, OutputOptions& output);
 // Validators with nothing to add to the help text.
 std::string CheckPositive(const std::string& text);
 std::string CheckWhole(const std::string& text);
+std::string CheckRange(const std::string& text, int least, int most);
 std::string CheckDevice(const std::string& text);
 
 void PrintJson(const Json& json);  // to stdout

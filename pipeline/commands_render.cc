@@ -122,8 +122,25 @@ void EncodeMp4(const fs::path& frames, const std::string& fps, const fs::path& m
   fs::rename(partial, mp4);
 }
 
+bool IsFrame(const fs::path& file) {
+  const std::string stem = file.stem().string();
+  return file.extension() == ".png" && stem.size() == 6 && stem.find_first_not_of("0123456789") == std::string::npos;
+}
+
+// Refuses a folder with other files than frames of an earlier path, so that nothing is mixed or lost.
+void CheckFrameFolder(const fs::path& folder) {
+  if (!fs::is_directory(folder)) return;
+  for (const auto& entry : fs::directory_iterator(folder)) {
+    if (IsFrame(entry.path())) continue;
+    throw UsageError("-o is " + EscapePath(folder) + ", which holds " + EscapePath(entry.path().filename()) +
+                     ": give a new folder, or one with frames of an earlier path");
+  }
+}
+
+// The folder then holds these frames alone.
 void CopyFrames(const fs::path& frames, const fs::path& folder) {
   fs::create_directories(folder);
+  for (const fs::path& earlier : ListFiles(folder)) fs::remove(earlier);
   for (const fs::path& frame : ListFiles(frames)) {
     const fs::path source = frames / frame.filename();
     fs::copy_file(source, folder / frame.filename(), fs::copy_options::overwrite_existing);
@@ -137,6 +154,11 @@ void Render(const RenderOptions& options) {
   const bool to_mp4 = target.extension() == ".mp4" && !fs::is_directory(target);
   if (!to_mp4 && target.has_extension() && !fs::is_directory(target)) {
     throw UsageError("-o is " + EscapePath(target) + ": give a name that ends in .mp4, or a folder for PNG frames");
+  }
+  if (to_mp4) {
+    if (target.has_parent_path()) fs::create_directories(target.parent_path());
+  } else {
+    CheckFrameFolder(target);
   }
   const WorkspaceLock lock(workspace);
   for (const char* stage : {"pose", "train"}) workspace.Require(stage);
@@ -162,7 +184,7 @@ Command AddRenderCommand(CLI::App& app) {
   add("WORKSPACE", options->workspace, "", "Made by `nrff run`")->required();
   add("--path", options->path, "KIND", "orbit, spiral or a file of poses (default: orbit)")->check(CheckPath);
   add("-o,--output", options->output_path, "FILE", "out.mp4, or a folder for PNG frames")->required();
-  add("--frames", options->frames, "N", "Frames of the path (default: 120)")->check(CheckPositive);
+  add("--frames", options->frames, "N", "Of an orbit or spiral (default: 120)")->check(CheckPositive);
   add("--fps", options->fps, "N", "Frames a second (default: 30)")->check(CheckPositive);
   add("--width", options->width, "PX", "Of the frames (default: as the photos)")->check(CheckPositive);
   add("--height", options->height, "PX", "Of the frames (default: as the photos)")->check(CheckPositive);

@@ -38,7 +38,14 @@ void Run(const BranchOptions& branch, bool dry_run, const OutputOptions& output)
   if (dry_run) return PlanAndPrint(requests, output.json);
   {
     LocalExecutor executor;  // what only training would refuse is refused before an hour of other stages
-    for (const BranchRequest& request : requests) ProbeTraining(executor, request);
+    for (const BranchRequest& request : requests) {
+      try {
+        ProbeTraining(executor, request);
+      } catch (const Error& error) {
+        if (requests.size() == 1) throw;
+        throw Error(error.code(), request.name + ": " + error.what());
+      }
+    }
   }
 
   std::vector<Workspace> workspaces;
@@ -145,9 +152,8 @@ Command AddRunCommand(CLI::App& app) {
   AddJsonOption(*command, options->output);
   command->footer(
       "Several captures share one run and a joint report; one that fails does not stop\n"
-      "the others. Killed at any moment, the same command goes on from what is there.\n"
-      "FEATURE: exhaustive_matching undistortion contraction sparse_depth fine_levels\n"
-      "Example: nrff run castle/ --budget 10m");
+      "the others. Killed at any moment, the same command goes on from what is there.\n" +
+      std::string(kFeaturesHelp) + "Example: nrff run castle/ --budget 10m");
   return {command, [options] { Run(options->branch, options->dry_run, options->output); }};
 }
 

@@ -70,7 +70,7 @@ std::string Graph::WhyInputsDiffer(const Node& node, const Manifest& manifest) {
   for (const std::string& input : node.inputs) {
     const Node& producer = nodes_[index_.at(input)];
     const ArtifactState& state = Artifact(producer);
-    if (!state.manifest) return "was made from a " + producer.stage + " that " + state.problem;
+    if (!state.manifest) return "was made from an artifact of " + producer.stage + " that " + state.problem;
     const auto found = recorded.find(state.manifest->ContentHash());
     if (found == recorded.end()) return "was made from another " + producer.stage;
     recorded.erase(found);

@@ -2,6 +2,7 @@
 
 #include "pipeline/commands.h"
 #include "pipeline/error.h"
+#include "pipeline/files.h"
 #include "pipeline/manifest.h"
 #include "pipeline/stage.h"
 
@@ -14,10 +15,13 @@ int main(int argc, char** argv) {
   app.footer("Example: nrff run photos/\nHelp on one: nrff run --help");
   const std::array commands = {nrff::AddRunCommand(app),    nrff::AddPlanCommand(app), nrff::AddStatusCommand(app),
                                nrff::AddRenderCommand(app), nrff::AddEvalCommand(app), nrff::AddReportCommand(app)};
+  app.allow_extras();  // not inherited by the commands; told of below
   return nrff::StageMain(app, argc, argv, [&] {
     for (const nrff::Command& command : commands) {
       if (command.app->parsed()) return command.run();
     }
-    throw nrff::UsageError("give a command: run, plan, status, render, eval or report (see nrff --help)");
+    throw nrff::UsageError(
+        (argc > 1 ? "'" + nrff::EscapePath(argv[1]) + "' is no command; give " : "give a command: ") +
+        std::string("run, plan, status, render, eval or report (see nrff --help)"));
   });
 }

@@ -35,24 +35,24 @@ void AddKnownDecisions(Graph& graph, BranchPlan& plan) {
     plan.decisions.push_back(decision);
   }
   plan.decisions.push_back(needs::Lpips(""));
-  for (const std::string& feature : ForceableFeatures()) {
-    if (posed && feature == "exhaustive_matching") continue;  // there is nothing to match
-    const std::optional<bool> forced = ForcedDecision(plan.request, feature);
-    if (!forced) continue;
-    Decision decision{feature, true, "nothing measured yet", "", ""};
-    Force(decision, forced);
-    AddDecision(plan.decisions, decision);
-  }
   for (size_t i = 0; i < plan.nodes.size(); ++i) {
     if (plan.verdicts[i].state != Verdict::kFresh) continue;
     for (const Decision& decision : graph.Artifact(plan.nodes[i]).manifest->decisions) {
       AddDecision(plan.decisions, decision);
     }
   }
-  for (const std::string& feature : ForceableFeatures()) {
-    const bool decided = std::any_of(plan.decisions.begin(), plan.decisions.end(),
-                                     [&](const Decision& decision) { return decision.feature == feature; });
-    if (!decided && !(posed && feature == "exhaustive_matching")) plan.undecided.push_back(feature);
+  for (const std::string& feature : ForceableFeatures(plan.nodes)) {
+    const auto decided = std::find_if(plan.decisions.begin(), plan.decisions.end(),
+                                      [&](const Decision& decision) { return decision.feature == feature; });
+    const std::optional<bool> forced = ForcedDecision(plan.request, feature);
+    if (decided != plan.decisions.end()) {
+      Force(*decided, forced);
+    } else if (forced) {
+      plan.decisions.push_back({feature, true, "nothing measured yet", "", ""});
+      Force(plan.decisions.back(), forced);
+    } else {
+      plan.undecided.push_back(feature);
+    }
   }
 }
 
@@ -60,8 +60,7 @@ std::string TrainingText(const BranchPlan& plan) {
   const auto size = plan.request.options.find("max-image-size");
   const double budget_seconds = plan.training.value("budget_seconds", 0.);
   const Json steps = plan.training.value("steps", Json());
-  return fmt::format("training: preset {}, {}, on {}, photos of at most {} px",
-                     plan.training.value("preset", "of nrff-train"),
+  return fmt::format("training: preset {}, {}, on {}, photos of at most {} px", plan.training.value("preset", ""),
                      budget_seconds > 0 ? FormatSeconds(budget_seconds) : steps.dump() + " steps",
                      plan.training.value("device", "cpu"),
                      size == plan.request.options.end() ? std::to_string(kMaxImageSize) : size->second);
@@ -132,7 +131,9 @@ void PrintPlans(const std::vector<BranchPlan>& plans, std::ostream& out) {
       const Verdict& verdict = plan.verdicts[i];
       out << fmt::format("  {:<7}{:<8}{}\n", StateText(verdict.state), plan.nodes[i].stage, verdict.reason);
     }
-    if (!plan.training.empty()) out << "  " << TrainingText(plan) << '\n';
+    const bool trains =
+        std::any_of(plan.nodes.begin(), plan.nodes.end(), [](const Node& node) { return node.stage == "train"; });
+    if (trains) out << "  " << TrainingText(plan) << '\n';
     for (const Decision& decision : plan.decisions) {
       const bool forced = ForcedDecision(plan.request, decision.feature).has_value();
       if (!decision.needed || forced) out << "  " << DecisionText(decision) << '\n';
@@ -195,7 +196,7 @@ Command AddPlanCommand(CLI::App& app) {
   CLI::App* command = app.add_subcommand("plan", "What a run would do, and why");
   AddBranchOptions(*command, options->branch);
   AddJsonOption(*command, options->output);
-  command->footer("Example: nrff plan photos/ --preset small");
+  command->footer(kFeaturesHelp + std::string("Example: nrff plan photos/ --preset small"));
   return {command, [options] { PlanAndPrint(MakeBranches(options->branch), options->output.json); }};
 }
 

@@ -86,7 +86,7 @@ Json Warnings(const WorkspaceState& state) {
   if (!rejected.empty()) {
     Json items = Json::array();
     for (const Json& photo : rejected) items.push_back(Text(At(photo, "name")) + ": " + Text(At(photo, "reason")));
-    const std::string text = Photos(rejected.size()) + " could not be used.";
+    const std::string text = "Files that could not be used: " + std::to_string(rejected.size()) + ".";
     warnings.push_back({{"kind", "rejected photos"}, {"text", text}, {"items", items}});
   }
   const Json& duplicates = At(ingest, "duplicates");

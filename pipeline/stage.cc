@@ -1,9 +1,8 @@
 #include "pipeline/stage.h"
 
-#include <cctype>
 #include <cerrno>
+#include <charconv>
 #include <cstdio>
-#include <cstdlib>
 #include <new>
 #include <system_error>
 
@@ -29,15 +28,16 @@ double SecondsOf(char unit) {
 // 0 where the text is no duration.
 double SecondsIn(const std::string& text) {
   double seconds = 0;
-  for (const char* rest = text.c_str(); *rest != '\0';) {
-    if (std::isdigit(static_cast<unsigned char>(*rest)) == 0) return 0;
-    char* end = nullptr;
-    const double count = std::strtod(rest, &end);
-    if (*end == '\0') return rest == text.c_str() ? count : 0;
-    const double unit_seconds = SecondsOf(*end);
+  const char* const end = text.data() + text.size();
+  for (const char* rest = text.data(); rest != end;) {
+    double count = 0;
+    const auto [after, error] = std::from_chars(rest, end, count, std::chars_format::fixed);
+    if (error != std::errc() || !(count >= 0 && count < 1e9)) return 0;
+    if (after == end) return rest == text.data() ? count : 0;
+    const double unit_seconds = SecondsOf(*after);
     if (unit_seconds == 0) return 0;
     seconds += count * unit_seconds;
-    rest = end + 1;
+    rest = after + 1;
   }
   return seconds;
 }

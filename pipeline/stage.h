@@ -14,6 +14,9 @@ namespace nrff {
 // verbosity, output place) do not.
 inline constexpr char kParameterGroup[] = "Parameters";
 
+// The most that --threads and --max-image-size take, checked by the driver as by the stages.
+inline constexpr int kMostThreads = 1024, kMostMaxImageSize = 65536;
+
 // The options of `app` in kParameterGroup that were given, as text (several values joined by ','; flags "true").
 Params GivenParams(const CLI::App& app);
 

@@ -168,8 +168,16 @@ std::vector<Node> BranchToRunAgain(const BranchRequest& request, const Machine& 
   return nodes;
 }
 
+std::set<std::string> StageOptions() {
+  std::set<std::string> options;
+  for (const Stage& stage : Table()) {
+    options.insert(stage.params.begin(), stage.params.end());
+    options.insert(stage.others.begin(), stage.others.end());
+  }
+  return options;
+}
+
 std::vector<std::string> TrainingOptions(const BranchRequest& request) {
-  if (OrderOf("train") > Last(request)) return {};
   const Stage& train = Table()[OrderOf("train")];
   std::vector<std::string> command = {(request.executables / train.program).string()};
   AddOptions(Given(train.params, request), command);

@@ -4,6 +4,7 @@
 
 #include <filesystem>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -35,7 +36,10 @@ Node FirstNode(const BranchRequest& request, const Machine& machine);
 std::vector<Node> BranchToRunAgain(const BranchRequest& request, const Machine& machine, bool posed,
                                    const std::vector<std::string>& stages);
 
-// The training program with the options that it would be given; empty where the branch ends before training.
+// All options of stages that can be in BranchRequest::options.
+std::set<std::string> StageOptions();
+
+// The training program with the options that it would be given.
 std::vector<std::string> TrainingOptions(const BranchRequest& request);
 
 // Where the program that is running lies.

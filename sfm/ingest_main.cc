@@ -24,7 +24,9 @@ int main(int argc, char** argv) {
   where->require_option(1);
   where->add_option("--out", out, "Write the artifact to this folder");
   where->add_flag("--probe", probe, "Print what the capture is as one JSON object; write nothing");
-  app.add_option("--threads", n_threads, "Photos decoded at once")->check(CLI::Range(1, 1024))->capture_default_str();
+  app.add_option("--threads", n_threads, "Photos decoded at once")
+      ->check(CLI::Range(1, nrff::kMostThreads))
+      ->capture_default_str();
   nrff::AddVerbosity(app);
   return nrff::StageMain(app, argc, argv, [&] {
     if (probe) {

@@ -27,7 +27,9 @@ struct Common {
 void AddCommon(CLI::App& app, Common& common) {
   app.add_option("--ingest", common.ingest, "Artifact of nrff-ingest")->required();
   app.add_option("--out", common.out, "Artifact to write")->required();
-  app.add_option("--threads", common.n_threads, "Threads to use")->check(CLI::Range(1, 1024))->capture_default_str();
+  app.add_option("--threads", common.n_threads, "Threads to use")
+      ->check(CLI::Range(1, nrff::kMostThreads))
+      ->capture_default_str();
   nrff::AddVerbosity(app);
 }
 
@@ -68,7 +70,7 @@ int main(int argc, char** argv) {
   fs::path sfm;
   normalise->add_option("--sfm", sfm, "Artifact of `nrff-pose estimate`; default: the poses that the capture brought");
   normalise->add_option("--max-image-size", pose.max_image_size, "Longer side of the packed photos, px")
-      ->check(CLI::Range(nrff::kLeastMaxImageSize, 65536))
+      ->check(CLI::Range(nrff::kLeastMaxImageSize, nrff::kMostMaxImageSize))
       ->capture_default_str()
       ->group(nrff::kParameterGroup);
   nrff::AddForcedOption(*normalise, "--undistortion", pose.undistortion, "on", "off",

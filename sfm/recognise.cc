@@ -24,9 +24,10 @@ namespace fs = std::filesystem;
 
 // Why a file that somebody may take for part of the capture is passed over; nothing for other files.
 std::optional<std::string> WhyPassedOver(const fs::path& file) {
-  constexpr std::array<std::string_view, 11> kRaw = {".nef", ".nrw", ".cr2", ".cr3", ".arw", ".dng",
-                                                     ".raf", ".orf", ".rw2", ".pef", ".srw"};
-  constexpr std::array<std::string_view, 6> kVideo = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm"};
+  constexpr std::array kRaw = std::to_array<std::string_view>(
+      {".nef", ".nrw", ".cr2", ".cr3", ".crw", ".arw", ".dng", ".raf", ".orf", ".rw2", ".pef", ".srw", ".3fr", ".iiq"});
+  constexpr std::array kVideo = std::to_array<std::string_view>(
+      {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mts", ".m2ts", ".3gp", ".mpg"});
   std::string extension = file.extension();
   std::transform(extension.begin(), extension.end(), extension.begin(),
                  [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
@@ -34,11 +35,11 @@ std::optional<std::string> WhyPassedOver(const fs::path& file) {
     return std::find(known.begin(), known.end(), extension) != known.end();
   };
   if (is_one_of(kRaw)) return "is a camera raw file: export it as JPEG or TIFF";
-  if (is_one_of(kVideo)) return "is a video: save frames of it as photos (ffmpeg -i VIDEO -vf fps=2 %05d.png)";
+  if (is_one_of(kVideo)) return "is a video: save frames of it as photos first, with ffmpeg for instance";
   return {};
 }
 
-// Raw files that lie beside a photo of the same name are its originals.
+// Files that lie beside a photo of the same name belong to it: a raw file is its original, a video its live photo.
 void RejectPassedOver(const std::vector<fs::path>& files, Source& source) {
   std::set<fs::path> photos;
   for (const SourceImage& image : source.images) photos.insert(fs::path(image.path).replace_extension());
@@ -61,9 +62,9 @@ Source ReadPhotoFolder(const fs::path& root) {
   }
   RejectPassedOver(files, source);
   if (source.images.empty()) {
-    const RejectedFile* near = source.rejected.empty() ? nullptr : &source.rejected.front();
+    const RejectedFile* passed_over = source.rejected.empty() ? nullptr : &source.rejected.front();
     throw InputError(EscapePath(root) + ": holds no capture (files: " + std::to_string(files.size()) +
-                     ", photos: none" + (near ? "; " + near->name + " " + near->reason : "") +
+                     ", photos: none" + (passed_over ? "; " + passed_over->name + " " + passed_over->reason : "") +
                      "); expected photos (JPEG, PNG, TIFF, WebP, HEIC), transforms.json, an NSVF layout or a COLMAP"
                      " model with images");
   }

@@ -137,7 +137,17 @@ TEST(DescribeTrainingTest, RefusesWhatTrainingWouldRefuse) {
   size.preset = "huge";
   setting.settings = "field.colour=3";
   device.device = "cuda";
-  for (const TrainingRequest& request : {size, setting, device}) EXPECT_THROW(DescribeTraining(request), Error);
+  const auto code = [](const TrainingRequest& request) {
+    try {
+      DescribeTraining(request);
+    } catch (const Error& error) {
+      return error.code();
+    }
+    return ExitCode::kDone;
+  };
+  EXPECT_EQ(code(size), ExitCode::kUsage);
+  EXPECT_EQ(code(setting), ExitCode::kUsage);
+  EXPECT_EQ(code(device), ExitCode::kResource);
   finer.settings = "field.base_resolution=200";
   // Finer than the levels of bounded scenes, not of unbounded ones.
   const Json fine = DescribeTraining(finer);

@@ -32,7 +32,8 @@ TEST(DurationTest, UnitsAddUpAndNonsenseIsRefused) {
   EXPECT_EQ(ParseDuration("1h30m", "--budget"), 5400);
   EXPECT_EQ(ParseDuration("1.5h", "--budget"), 5400);
   EXPECT_EQ(ParseDuration("600", "--budget"), 600);
-  for (const char* text : {"", "m", "-5m", "10x", "10m5", "0", "1e999s", "nan", "inf", " 5m", "5 m"}) {
+  for (const char* text :
+       {"", "m", "-5m", "10x", "10m5", "0", "0x10m", "1e2s", "1m-5s", "1e999s", "nan", "inf", " 5m", "5 m"}) {
     EXPECT_THROW(ParseDuration(text, "--budget"), Error) << text;
   }
 }

@@ -144,10 +144,12 @@ TEST_F(DriverTest, ForcedDecisionsGoToTheStagesThatMakeThem) {
   EXPECT_EQ(ReadManifest(root_ / "work/sfm")->params, (Params{{"matching", "sequential"}}));
   EXPECT_EQ(ReadManifest(root_ / "work/pose")->params, (Params{{"undistortion", "on"}}));
   EXPECT_EQ(ReadManifest(root_ / "work/train")->params, (Params{{"sparse-depth", "off"}}));
+  const ProgramResult before = Nrff({"plan", "--need", "contraction", "--leave-out", "undistortion", Path("fox")});
+  EXPECT_EQ(before.exit_code, 0) << before.err;
   const ProgramResult both = RunFox({"--need", "contraction", "--leave-out", "contraction"});
   EXPECT_EQ(both.exit_code, 2);
   EXPECT_THAT(both.err, HasSubstr("--need and --leave-out both name contraction"));
-  for (const char* malformed : {"levels=3", "field.levels", "field.=3", "field.levels="}) {
+  for (const char* malformed : {"", " ", "levels=3", "field.levels", "field.=3", "field.levels="}) {
     EXPECT_EQ(RunFox({"--set", malformed}).exit_code, 2) << malformed;
   }
   const ProgramResult unknown = RunFox({"--leave-out", "training"});
@@ -164,6 +166,15 @@ TEST_F(DriverTest, WorkspaceStandsForItsCaptureAndLastOptions) {
   EXPECT_THAT(Ran(), ElementsAre("train", "render", "eval"));
   Nrff({"run", Path("work"), "--budget", "1m"});
   EXPECT_EQ(ReadManifest(root_ / "work/train")->params, (Params{{"budget", "60s"}}));
+}
+
+TEST_F(DriverTest, OptionThatThisVersionDoesNotHaveIsForgottenWithAWarning) {
+  RunFox();
+  Workspace(Path("work")).WriteMarker({root_ / "fox", {{"colour", "red"}, {"steps", "10"}}});
+  const ProgramResult result = Nrff({"run", Path("work")});
+  EXPECT_EQ(result.exit_code, 0);
+  EXPECT_THAT(result.err, HasSubstr("remembers --colour red, which this version does not have"));
+  EXPECT_EQ(Workspace(Path("work")).ReadMarker().options, (Params{{"steps", "10"}}));
 }
 
 TEST_F(DriverTest, FromUntilAndForceChooseTheStages) {
@@ -228,7 +239,11 @@ TEST_F(DriverTest, PlanTellsWhatTrainingWillDoWhatIsForcedAndWhatIsStillOpen) {
   EXPECT_THAT(plan.out, HasSubstr("training: preset small, 8000 steps, on cpu, photos of at most 400 px"));
   EXPECT_THAT(plan.out, HasSubstr("left out: sparse_depth — nothing measured yet; forced by an option"));
   EXPECT_THAT(plan.out, HasSubstr("measured then: exhaustive_matching, undistortion, contraction, fine_levels\n"));
-  EXPECT_THAT(Nrff({"plan", Path("fox")}, {{"FAKE_POSED", "1"}}).out, Not(HasSubstr("exhaustive_matching")));
+  const ProgramResult posed = Nrff({"plan", Path("fox")}, {{"FAKE_POSED", "1"}});
+  EXPECT_THAT(posed.out, HasSubstr("measured then: undistortion, contraction, sparse_depth, fine_levels\n"));
+  const ProgramResult early = Nrff({"plan", Path("fox"), "--until", "sfm"});
+  EXPECT_THAT(early.out, HasSubstr("measured then: exhaustive_matching\n"));
+  EXPECT_THAT(early.out, Not(HasSubstr("training:")));
 }
 
 TEST_F(DriverTest, WhatTrainingWouldRefuseIsRefusedFirst) {
@@ -237,12 +252,12 @@ TEST_F(DriverTest, WhatTrainingWouldRefuseIsRefusedFirst) {
   EXPECT_THAT(refused.Errors(), ElementsAre("--preset 'huge' is not known"));
   EXPECT_THAT(Ran(), IsEmpty());
   EXPECT_FALSE(fs::exists(root_ / "work"));
-  EXPECT_EQ(RunFox({"--preset", "huge", "--until", "pose"}).exit_code, 0);
+  EXPECT_EQ(RunFox({"--preset", "huge", "--until", "pose"}).exit_code, 2);  // or the workspace would remember it
 }
 
 TEST_F(DriverTest, MistypedCommandLinesNameTheHelpThatHelps) {
   EXPECT_THAT(Nrff({}).err, HasSubstr("give a command: run, plan,"));
-  EXPECT_THAT(Nrff({"pln", "fox"}).err, HasSubstr("pln"));
+  EXPECT_THAT(Nrff({"pln", "fox"}).err, HasSubstr("'pln' is no command; give run, plan,"));
   EXPECT_THAT(Nrff({"run", "fox", "--sed", "3"}).err, HasSubstr("--sed (see nrff run --help)"));
   EXPECT_THAT(Nrff({"render", Path("fox"), "--path", "orbitt", "-o", "x.mp4"}).err,
               HasSubstr("'orbitt' is neither orbit nor spiral nor a file of poses"));
@@ -255,7 +270,8 @@ TEST_F(DriverTest, StatusTellsTheScoresAndWhereTheReportIs) {
   EXPECT_THAT(Nrff({"status", Path("work")}).out, HasSubstr("report   " + Path("work/report/report.html")));
   const Json status = Json::parse(Nrff({"status", Path("work"), "--json"}).out);
   EXPECT_EQ(status["workspaces"][0]["report"], Path("work/report/report.html"));
-  EXPECT_TRUE(status["workspaces"][0]["metrics"]["psnr"].is_null());  // the stand-in measures nothing
+  EXPECT_EQ(status["workspaces"][0]["metrics"]["psnr"], 21.5);
+  EXPECT_THAT(Nrff({"status", Path("work")}).out, HasSubstr("held out PSNR 21.50 dB, SSIM 0.7500"));
 }
 
 TEST_F(DriverTest, FailureSaysWhatAndWhereAndIsRemembered) {
@@ -386,8 +402,14 @@ TEST_F(DriverTest, PathIsEncodedOrKeptAsFramesWithTheWayToGetFfmpeg) {
   EXPECT_TRUE(fs::exists(root_ / "work/paths/orbit/rgb/000000.png"));
   EXPECT_FALSE(fs::exists(root_ / "orbit.mp4"));
 
+  fs::create_directories(root_ / "frames");
+  WriteFileAtomically(root_ / "frames/000001.png", "of an earlier, longer path");
   EXPECT_EQ(Nrff({"render", Path("work"), "-o", Path("frames")}).exit_code, 0);
   EXPECT_TRUE(fs::exists(root_ / "frames/000000.png"));
+  EXPECT_FALSE(fs::exists(root_ / "frames/000001.png"));
+  const ProgramResult mixed = Nrff({"render", Path("work"), "-o", Path("fox")});
+  EXPECT_EQ(mixed.exit_code, 2);
+  EXPECT_THAT(mixed.err, HasSubstr("which holds photo.jpg"));
   EXPECT_EQ(Nrff({"render", Path("work"), "-o", Path("orbit.avi")}).exit_code, 2);
 }
 

@@ -209,7 +209,7 @@ TEST_F(GraphTest, DamagedArtifactIsMadeAgainAndWhatFollowsIsCutOff) {
   AddBranch("x");
   Run();
   disk_.damaged["/work/x/b"] = "has a damaged manifest";
-  EXPECT_EQ(ReasonOf("x/c"), "was made from a b that has a damaged manifest");
+  EXPECT_EQ(ReasonOf("x/c"), "was made from an artifact of b that has a damaged manifest");
   Run();
   EXPECT_THAT(executor_.started, ElementsAre("x/b"));
 }

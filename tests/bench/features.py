@@ -5,8 +5,8 @@ training views that are held out from training, never on the held-out views of t
     tests/bench/features.py DATA_DIR OUT.json [--budget 60] [--folds 2]
 
 Every run is one thread, as many at a time as there are cores; the runs of one scene and fold differ in the options
-alone. OUT.md is written beside OUT.json. Scenes are kept in --work, so that an interrupted measurement goes on where
-it was. Python's standard library only.
+alone. OUT.md is written beside OUT.json. Poses are kept in --work, models are trained anew. Python's standard library
+only.
 """
 
 import argparse
@@ -82,9 +82,9 @@ def hold_out_training_views(source, target, fold):
 
 def train(job):
     nrff, scene, out, arm, budget, seed = job
-    if not (out / "manifest.json").exists():
-        run([nrff.with_name("nrff-train"), "--scene", scene, "--out", out, "--budget", f"{budget}s", "--threads", 1,
-             "--seed", seed, "--quiet", *ARMS[arm]])
+    shutil.rmtree(out, ignore_errors=True)
+    run([nrff.with_name("nrff-train"), "--scene", scene, "--out", out, "--budget", f"{budget}s", "--threads", 1,
+         "--seed", seed, "--quiet", *ARMS[arm]])
     facts = json.loads((out / "manifest.json").read_text())["facts"]
     print(f"{out.name}: {facts['curve'][-1]['psnr']:.2f} dB after {facts['steps']} steps", flush=True)
     return {"psnr": facts["curve"][-1]["psnr"], "steps": facts["steps"],
@@ -139,8 +139,8 @@ def main():
                                   check=True).stdout.strip(),
         "machine": machine(),
         "protocol": f"{arguments.budget} s of training on one thread, photos of at most 400 px, preset small; PSNR on "
-                    "every eighth training view (every fourth of fewer than 16), which training and depths leave out "
-                    "(camera poses were estimated with them); one choice of views and one seed per figure in brackets.",
+                    "every eighth training view (every fourth of fewer than 16); training leaves those out with the "
+                    "depths on their rays, but poses and points were estimated with them; one choice of views and one seed per figure in brackets.",
         "captures": captures,
     }
     arguments.out.write_text(json.dumps(result, indent=1) + "\n")

@@ -192,7 +192,9 @@ TEST(BadInput, WhatOnlyTrainingWouldRefuseIsRefusedBeforeAnythingRuns) {
   expect({"--preset", "huge"}, ExitCode::kUsage, "the presets are paper, small, tiny");
   expect({"--set", "field.colour=3"}, ExitCode::kUsage, "there is no field.colour; there are");
   expect({"--device", "cuda"}, ExitCode::kResource, "CPU only");
-  expect({"--max-image-size", "7"}, ExitCode::kUsage, "at least 16");
+  expect({"--max-image-size", "7"}, ExitCode::kUsage, "from 16 to 65536");
+  expect({"--max-image-size", "70000"}, ExitCode::kUsage, "from 16 to 65536");
+  expect({"--threads", "2000"}, ExitCode::kUsage, "from 1 to 1024");
 }
 
 TEST(BadInput, RunSaysWhatIngestSays) {
