@@ -40,7 +40,7 @@ TEST(DurationTest, UnitsAddUpAndNonsenseIsRefused) {
 
 TEST(WorkspaceTest, NamesAreSafeAndOneForEachCapture) {
   const TemporaryDirectory directory;
-  const fs::path root = directory.path();
+  const fs::path& root = directory.path();
   EXPECT_EQ(CaptureName("/a/my fox"), "my_fox");
   EXPECT_EQ(CaptureName("/a/ch\xC3\xA2teau"), "ch\xC3\xA2teau");
   EXPECT_EQ(CaptureName("/a/.hidden"), "hidden");

@@ -26,7 +26,8 @@ struct Frame {
 // By the photo's name without extension.
 std::map<std::string, Frame> ReadFrames(const fs::path& transforms) {
   std::map<std::string, Frame> frames;
-  for (const Json& frame : ReadJson(transforms).at("frames")) {
+  const Json json = ReadJson(transforms);
+  for (const Json& frame : json.at("frames")) {
     Frame& read = frames[fs::path(frame.at("file_path").get<std::string>()).stem()];
     for (int row = 0; row < 3; ++row) {
       for (int column = 0; column < 3; ++column) read.rotation(row, column) = frame["transform_matrix"][row][column];

@@ -2,10 +2,10 @@
 """What training gains from features that nrff leaves out of some scenes, measured where the decision may be tuned: on
 training views that are held out from training, never on the held-out views of the captures.
 
-    tests/bench/features.py DATA_DIR OUT.json [--budget 60] [--folds 2]
+    tests/bench/features.py DATA_DIR OUT.json [--steps 1500] [--folds 2]
 
-Every run is one thread, as many at a time as there are cores; the runs of one scene and fold differ in the options
-alone. OUT.md is written beside OUT.json. Poses are kept in --work, models are trained anew. Python's standard library
+Every run is one thread and a number of steps, so that the figures do not depend on what else the machine does; the runs
+of one scene and fold differ in the options alone. OUT.md is written beside OUT.json. Poses are kept in --work, models are trained anew. Python's standard library
 only.
 """
 
@@ -81,13 +81,13 @@ def hold_out_training_views(source, target, fold):
 
 
 def train(job):
-    nrff, scene, out, arm, budget, seed = job
+    nrff, scene, out, arm, steps, seed = job
     shutil.rmtree(out, ignore_errors=True)
-    run([nrff.with_name("nrff-train"), "--scene", scene, "--out", out, "--budget", f"{budget}s", "--threads", 1,
+    run([nrff.with_name("nrff-train"), "--scene", scene, "--out", out, "--steps", steps, "--threads", 1,
          "--seed", seed, "--quiet", *ARMS[arm]])
     facts = json.loads((out / "manifest.json").read_text())["facts"]
-    print(f"{out.name}: {facts['curve'][-1]['psnr']:.2f} dB after {facts['steps']} steps", flush=True)
-    return {"psnr": facts["curve"][-1]["psnr"], "steps": facts["steps"],
+    print(f"{out.name}: {facts['curve'][-1]['psnr']:.2f} dB", flush=True)
+    return {"psnr": facts["curve"][-1]["psnr"], "seconds": facts["seconds_training"],
             "finest_level": facts["settings"]["field"]["max_resolution"]}
 
 
@@ -110,8 +110,9 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=pathlib.Path)
     parser.add_argument("out", type=pathlib.Path)
-    parser.add_argument("--budget", type=int, default=60, help="seconds of each training")
+    parser.add_argument("--steps", type=int, default=1500, help="of each training")
     parser.add_argument("--folds", type=int, default=2, help="choices of held-out training views, each with its seed")
+    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="trainings at a time")
     parser.add_argument("--work", type=pathlib.Path, default=pathlib.Path("work/features"))
     parser.add_argument("--nrff", type=pathlib.Path, default=HERE / "../../build/bin/nrff")
     arguments = parser.parse_args()
@@ -126,11 +127,11 @@ def main():
             scene = arguments.work / f"{name}-scene{fold}"
             capture["folds"].append(hold_out_training_views(workspace / "pose", scene, fold))
             for arm in COMPARED[compared]:
-                out = arguments.work / f"{name}-{arm}-{fold}-{arguments.budget}s"
-                jobs.append((arguments.nrff, scene, out, arm, arguments.budget, fold))
+                out = arguments.work / f"{name}-{arm}-{fold}"
+                jobs.append((arguments.nrff, scene, out, arm, arguments.steps, fold))
                 labels.append((capture, arm, fold))
         captures.append(capture)
-    with concurrent.futures.ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+    with concurrent.futures.ThreadPoolExecutor(arguments.jobs) as pool:
         for (capture, arm, fold), figures in zip(labels, pool.map(train, jobs)):
             capture["runs"].append({"arm": arm, "fold": fold, **figures})
     result = {
@@ -138,7 +139,7 @@ def main():
         "version": subprocess.run([arguments.nrff, "--version"], capture_output=True, text=True,
                                   check=True).stdout.strip(),
         "machine": machine(),
-        "protocol": f"{arguments.budget} s of training on one thread, photos of at most 400 px, preset small; PSNR on "
+        "protocol": f"{arguments.steps} steps of training on one thread, photos of at most 400 px, preset small; PSNR on "
                     "every eighth training view (every fourth of fewer than 16); training leaves those out with the "
                     "depths on their rays, but poses and points were estimated with them; one choice of views and one seed per figure in brackets.",
         "captures": captures,

@@ -251,7 +251,8 @@ TEST(BadInput, MixedSizesAndOrientationsAreToldApart) {
   WriteTestPhoto(dir / "wide.png", {.width = 200, .height = 50, .seed = 52});
   ASSERT_EQ(RunProgram({"nrff-ingest", dir, "--out", out}).exit_code, 0);
   EXPECT_EQ(RequireArtifact(out, "ingest").facts.at("n_cameras"), 3);
-  for (const Json& image : ReadJson(out / "capture.json").at("images")) {
+  const Json capture = ReadJson(out / "capture.json");
+  for (const Json& image : capture.at("images")) {
     if (image.at("name") != "turned.jpg") continue;
     EXPECT_EQ(image.at("width"), 64);
     EXPECT_EQ(image.at("height"), 96);
@@ -277,7 +278,8 @@ TEST(BadInput, AnyFileNameIsFineAndLinkLoopsEnd) {
   const Manifest manifest = RequireArtifact(out, "ingest");
   EXPECT_EQ(manifest.facts.at("n_images"), 1 + static_cast<int>(names.size())) << result.err;
   std::vector<std::string> found;
-  for (const Json& image : ReadJson(out / "capture.json").at("images")) {
+  const Json capture = ReadJson(out / "capture.json");
+  for (const Json& image : capture.at("images")) {
     const fs::path name = UnescapePath(image.at("path").get<std::string>());
     EXPECT_TRUE(fs::exists(dir / name)) << image.at("path");
   }
