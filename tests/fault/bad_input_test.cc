@@ -358,7 +358,7 @@ class Colmap : public testing::Test {
   }
 
   fs::path WriteScript(const std::string& body) const {
-    const fs::path script = temporary_.path() / "colmap.sh";
+    fs::path script = temporary_.path() / "colmap.sh";
     WriteText(script, "#!/bin/sh\n" + body + "\n");
     fs::permissions(script, fs::perms(0755));
     return script;
