@@ -227,8 +227,9 @@ TEST(ImageMeasuresTest, APlainBackdropIsToldFromTheFrame) {
   Image half = white;  // the lower half is another colour: 2 px of 80 at the bottom and half of the sides
   std::fill(half.pixels.begin() + std::ptrdiff_t(half.pixels.size() / 2), half.pixels.end(), uint8_t(100));
   EXPECT_NEAR(MeasureFrame(half).white, 0.5, 1e-9);
-  const auto background = [](std::vector<Image> images) {
+  const auto background = [](const std::vector<Image>& images) {
     std::vector<FrameShares> frames;
+    frames.reserve(images.size());
     for (const Image& image : images) frames.push_back(MeasureFrame(image));
     return PlainBackground(frames);
   };
