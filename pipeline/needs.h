@@ -44,18 +44,17 @@ Decision Contraction(bool box_given, bool has_alpha, std::optional<double> backg
 Decision ExhaustiveMatching(int n_images, bool ordered);
 
 // The finest grid resolution that training settles. Few views leave finer cells to be learnt by heart, view by view,
-// unless sparse depths hold the surfaces in place. Measured on training views held out: without depths, eight views of
-// sceaux_castle, 500 steps: 64 shows the ninth at 18.3 dB, 128 at 17.9, 256 at 16.4. With depths, 60 s on one core, 64
-// → 256: castle 20.3 → 19.8 dB, kermit 14.9 → 16.4, ET 14.9 → 15.7. The bounds of 16 and 32 views are not measured.
+// unless sparse depths hold the surfaces in place (tests/bench/results/features.md): without depths, fine levels cost
+// sceaux_castle 0.1 dB and ET 0.9, gain kermit 0.2; with depths they gain all three, 0.1 to 0.9. The bounds of 16 and 32
+// views are not measured.
 int FinestResolution(int n_train_views, bool sparse_depth);
 
 // Grid levels finer than FinestResolution are left out where the preset's `finest` is beyond it.
 Decision FineLevels(int n_train_views, bool sparse_depth, int finest);
 
 // Learning from the depths of sparse points is left out where there are hardly any, and in bounded scenes, whose
-// silhouettes settle the geometry. Measured on training views held out, 60 s on one core, without → with: fox 26.0 →
-// 27.1 dB, cup 25.3 → 26.3, sceaux_castle 17.4 → 20.5, kermit 13.2 → 15.5; bounded maryrose 21.0 → 20.8. One seed,
-// while the preset was being tuned, with COLMAP's own points, before they were triangulated anew from training rays.
+// silhouettes settle the geometry. On training views held out they gain 0.6 to 5.1 dB in unbounded scenes
+// (tests/bench/results/features.md); in bounded maryrose 0.4 after 800 steps but −0.2 after 60 s.
 Decision SparseDepth(size_t n_depths, bool unbounded);
 
 // LPIPS is left out when no network file is given.
