@@ -11,12 +11,11 @@
 #include <string>
 #include <vector>
 
+#include "model/kernels/shading_tile.h"
 #include "pipeline/json.h"
 #include "pipeline/needs.h"
 
 namespace nrff {
-
-enum class Activation { kGelu, kRelu };  // GELU by erf, as the authors' code; the paper says ReLU
 
 struct FieldConfig {
   // Multiscale tensor decomposition (kernels/feature_grid.h).

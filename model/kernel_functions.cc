@@ -56,8 +56,8 @@ class GridFunction : public torch::autograd::Function<GridFunction<kReadOut>> {
     const Tensor points = points_in.contiguous();
     const GridLayout& layout = shared->layout;
     const int64_t n = points.size(0);
-    Tensor features =
-        kConcat ? at::empty({n, layout.n_features()}, points.options()) : at::empty({n}, points.options());
+    Tensor features = kConcat ? at::empty({layout.n_products(), n, layout.n_channels}, points.options())
+                              : at::empty({n}, points.options());
     WithScalar(parameters, [&](auto scalar) {
       using Scalar = decltype(scalar);
       constexpr auto* kForward = kConcat ? GridConcatForward<Scalar> : GridSumForward<Scalar>;
@@ -65,20 +65,27 @@ class GridFunction : public torch::autograd::Function<GridFunction<kReadOut>> {
     });
     Keep(ctx, shared);
     ctx->save_for_backward({parameters, points});
-    return features;
+    return kConcat ? features.permute({1, 0, 2}).reshape({n, layout.n_features()}) : features;
   }
 
   static tensor_list backward(AutogradContext* ctx, const tensor_list& grads) {
     constexpr auto kConcat = kReadOut == ReadOut::kConcat;
     const tensor_list saved = ctx->get_saved_variables();
     const Tensor &parameters = saved[0], &points = saved[1];
-    const Tensor d_features = grads[0].contiguous();
+    const auto shared = Kept<SharedGridLayout>(ctx);
+    const GridLayout& layout = shared->layout;
+    const int64_t n = points.size(0);
+    const Tensor d_features =
+        kConcat ? grads[0].reshape({n, layout.n_products(), layout.n_channels}).permute({1, 0, 2}).contiguous()
+                : grads[0].contiguous();
     Tensor d_parameters = at::zeros_like(parameters);
     WithScalar(parameters, [&](auto scalar) {
       using Scalar = decltype(scalar);
       constexpr auto* kBackward = kConcat ? GridConcatBackward<Scalar> : GridSumBackward<Scalar>;
-      kBackward(Kept<SharedGridLayout>(ctx)->layout, In<Scalar>(parameters), In<Scalar>(points), points.size(0),
-                In<Scalar>(d_features), Out<Scalar>(d_parameters));
+      for (int p = 0; p < layout.n_products(); ++p) {
+        kBackward(layout, p, In<Scalar>(parameters), In<Scalar>(points), n,
+                  In<Scalar>(d_features) + (kConcat ? p * n * layout.n_channels : 0), Out<Scalar>(d_parameters));
+      }
     });
     return {{}, d_parameters, {}};
   }

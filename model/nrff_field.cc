@@ -3,10 +3,12 @@
 #include <ATen/ATen.h>
 #include <c10/core/GradMode.h>
 
+#include <algorithm>
 #include <cmath>
 #include <numbers>
 
 #include "model/grid_crop.h"
+#include "model/kernels/tile_rows.h"
 #include "render/kernels/random.h"
 
 namespace nrff {
@@ -168,6 +170,62 @@ RadianceField::Shading NrffField::Shade(const Tensor& points, const Tensor& ray_
   const ShadingParts parts = ShadeFeature(AppearanceFeature(points), ray_directions);
   return {parts.rgb, parts.normal};
 }
+
+void NrffField::DensityOf(const float* points, int64_t n, float* sigma) const {
+  GridSumForward(density_layout(), density_parameters(), points, n, sigma);
+  DensitiesFromFeatures(float(config_.density_scale), float(config_.density_shift), n, sigma);
+}
+
+ShadingNetworks NrffField::Networks() const {
+  const auto view = [](const Linear& linear) {
+    return LinearLayer{.n_in = int(linear.weight.size(1)),
+                       .n_out = int(linear.weight.size(0)),
+                       .weight = linear.weight.const_data_ptr<float>(),
+                       .bias = linear.bias.const_data_ptr<float>()};
+  };
+  ShadingNetworks networks;
+  for (const Linear& linear : spatial_) networks.spatial.push_back(view(linear));
+  for (const Linear& linear : directional_) networks.directional.push_back(view(linear));
+  networks.lobe_layer = view(lobe_layer_);
+  networks.lobes = lobes_->lobes;
+  networks.bottleneck_width = config_.bottleneck_width;
+  networks.activation = config_.activation;
+  return networks;
+}
+
+namespace {
+
+class TileShader : public RadianceField::Shader {
+ public:
+  explicit TileShader(const NrffField& field) : field_(field), networks_(field.Networks()), tile_(networks_) {
+    tile_.Reserve(kMostAtOnce);
+  }
+
+  void Shade(const float* points, const float* ray_directions, int64_t n, float* rgb, float* normals) override {
+    const GridLayout& layout = field_.appearance_layout();
+    for (int64_t begin = 0; begin < n; begin += kMostAtOnce) {
+      const int64_t n_tile = std::min(kMostAtOnce, n - begin);
+      features_.resize(n_tile * layout.n_features());
+      GridConcatForward(layout, field_.appearance_parameters(), points + 3 * begin, n_tile, features_.data());
+      ProductsToRows(features_.data(), layout, n_tile, tile_.stride(), tile_.features());
+      PointsToRows(ray_directions + 3 * begin, n_tile, tile_.stride(), tile_.ray_directions());
+      tile_.Forward(networks_, n_tile);
+      RowsToPoints(tile_.rgb(), n_tile, tile_.stride(), rgb + 3 * begin);
+      RowsToPoints(tile_.normals(), n_tile, tile_.stride(), normals + 3 * begin);
+    }
+  }
+
+ private:
+  static constexpr int64_t kMostAtOnce = 256;
+  const NrffField& field_;
+  ShadingNetworks networks_;
+  ShadingTile tile_;
+  std::vector<float> features_;
+};
+
+}  // namespace
+
+std::unique_ptr<RadianceField::Shader> NrffField::MakeShader() const { return std::make_unique<TileShader>(*this); }
 
 Tensor NrffField::DensityL1() const { return at::dot(density_grid_.abs(), density_l1_weights_); }
 

@@ -15,11 +15,13 @@
 
 #include <array>
 #include <cstdint>
+#include <memory>
 #include <string>
 #include <vector>
 
 #include "model/config.h"
 #include "model/kernel_functions.h"
+#include "model/kernels/shading_tile.h"
 #include "render/radiance_field.h"
 
 namespace nrff {
@@ -32,6 +34,14 @@ class NrffField : public RadianceField {
   // Points of another type are converted.
   torch::Tensor Density(const torch::Tensor& points) const override;
   Shading Shade(const torch::Tensor& points, const torch::Tensor& ray_directions) const override;
+
+  // By the kernels, which take float parameters alone.
+  void DensityOf(const float* points, int64_t n, float* sigma) const override;
+  std::unique_ptr<Shader> MakeShader() const override;
+  // Views of the parameters, for the kernels; valid as long as the field.
+  ShadingNetworks Networks() const;
+  const float* density_parameters() const { return density_grid_.const_data_ptr<float>(); }
+  const float* appearance_parameters() const { return appearance_grid_.const_data_ptr<float>(); }
 
   // The stages of Density and Shade.
   torch::Tensor DensityFeature(const torch::Tensor& points) const;       // [n]

@@ -5,10 +5,10 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <optional>
 #include <utility>
 
 #include "model/kernels/adam.h"
-#include "model/losses.h"
 #include "model/schedule.h"
 #include "pipeline/error.h"
 #include "pipeline/log.h"
@@ -51,7 +51,8 @@ Trainer::Trainer(const Scene& scene, const ImagePack& pack, std::vector<SparseDe
       depths_(scene, std::move(depths)),
       background_(BackgroundLevel(scene, preset.train.unknown_background)),
       state_(preset.field, preset.train.occupancy_resolution,
-             SceneMap::FromBox(scene.aabb_min, scene.aabb_max, scene.unbounded), options.seed) {
+             SceneMap::FromBox(scene.aabb_min, scene.aabb_max, scene.unbounded), options.seed),
+      step_(state_.field) {
   state_.n_rays = preset_.train.rays;
   if (scene_.unbounded && preset_.train.occupancy_min_views > 0) {
     const int n_views = int(pixels_.views().size());
@@ -133,17 +134,6 @@ void Trainer::FollowSchedule(double progress) {
   if (may_shrink && !state_.shrunk && progress >= config.shrink_moment) Shrink();
 }
 
-Tensor Trainer::DepthTerm(const RenderOptions& colour_options) {
-  const DepthSource::Batch batch =
-      depths_.Draw(preset_.train.depth_rays, options_.seed, uint64_t(state_.step), state_.map, colour_options.step);
-  RenderOptions options = colour_options;
-  options.jitter_purpose = RandomStream::kDepthJitter;
-  const Samples samples = MarchRays(state_.occupancy, state_.map, batch.rays, options);
-  const Visibility visibility = MeasureVisibility(state_.field, samples, options.stop_transmittance);
-  state_.samples += samples.t.numel();
-  return DepthLoss(visibility.weights, samples.t, samples.ray_index, batch.distance, batch.spread);
-}
-
 void Trainer::Step() {
   const auto start = std::chrono::steady_clock::now();
   const TrainConfig& config = preset_.train;
@@ -153,27 +143,24 @@ void Trainer::Step() {
   const PixelSource::Batch batch = pixels_.Draw(state_.n_rays, options_.seed, uint64_t(state_.step));
   RenderOptions options = EvaluationOptions();
   options.jitter = {options_.seed, uint64_t(state_.step)};
-  const RenderResult rendered = RenderRays(state_.field, state_.occupancy, state_.map, batch.rays, options);
-
-  const Tensor mse = MseLoss(rendered.rgb, batch.target);
-  Tensor loss = mse;
-  if (config.orientation_weight > 0) {
-    loss = loss + config.orientation_weight *
-                      OrientationLoss(rendered.shaded_weights, rendered.shaded_normals, rendered.shaded_directions);
+  LossWeights weights{.orientation = config.orientation_weight,
+                      .density_l1 = progress < config.shrink_moment ? config.density_l1_weight
+                                                                    : config.density_l1_weight_later,
+                      .sparsity = config.sparsity_weight};
+  std::optional<DepthSource::Batch> depths;
+  if (config.depth_weight > 0 && !depths_.empty()) {
+    weights.depth = config.depth_weight;
+    depths = depths_.Draw(config.depth_rays, options_.seed, uint64_t(state_.step), state_.map, options.step);
   }
-  const double l1_weight = progress < config.shrink_moment ? config.density_l1_weight : config.density_l1_weight_later;
-  if (l1_weight > 0) loss = loss + l1_weight * state_.field.DensityL1();
-  if (config.sparsity_weight > 0) {
-    loss = loss + config.sparsity_weight * SparsityLoss(rendered.sigma, rendered.delta, state_.n_rays);
-  }
+  const TrainingStep::Result result =
+      step_.Run(batch, depths ? &*depths : nullptr, state_.occupancy, state_.map, options, weights);
 
-  if (config.depth_weight > 0 && !depths_.empty()) loss = loss + config.depth_weight * DepthTerm(options);
-
-  const std::string not_finite = Optimise(loss, progress);
+  const std::string not_finite = NotFinite(result);
   if (not_finite.empty()) {
+    Optimise(progress);
     state_.n_skipped_in_row = 0;
-    const double batch_mse = mse.item<double>();
-    state_.train_mse = state_.train_mse < 0 ? batch_mse : kMseMemory * state_.train_mse + (1 - kMseMemory) * batch_mse;
+    state_.train_mse =
+        state_.train_mse < 0 ? result.mse : kMseMemory * state_.train_mse + (1 - kMseMemory) * result.mse;
   } else {
     ++state_.n_skipped;
     if (++state_.n_skipped_in_row == kMostSkipped) {
@@ -185,46 +172,44 @@ void Trainer::Step() {
   if (config.target_shaded > 0) {
     // Half of the way, so that one unusual batch does not throw it off.
     const double wanted =
-        double(state_.n_rays) * double(config.target_shaded) / double(std::max<int64_t>(rendered.n_shaded, 1));
+        double(state_.n_rays) * double(config.target_shaded) / double(std::max<int64_t>(result.n_shaded, 1));
     state_.n_rays = std::clamp(int64_t(0.5 * (double(state_.n_rays) + wanted)),
                                std::min(kFewestRays, int64_t(config.max_rays)), int64_t(config.max_rays));
   }
-  state_.samples += rendered.n_samples;
+  state_.samples += result.n_samples;
   ++state_.step;
   state_.seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
 
-std::string Trainer::Optimise(const Tensor& loss, double progress) {
-  const double value = loss.item<double>();
-  if (!std::isfinite(value)) return std::isnan(value) ? "a loss that is not a number" : "an infinite loss";
-  const std::vector<NrffField::Parameter>& parameters = state_.field.parameters();
-  for (const NrffField::Parameter& parameter : parameters) parameter.value.mutable_grad() = Tensor();
-  if (!loss.requires_grad()) return {};  // no ray met anything
-  loss.backward();
-  for (const NrffField::Parameter& parameter : parameters) {
-    const Tensor& gradient = parameter.value.grad();
-    if (gradient.defined() && !AllFinite(gradient.const_data_ptr<float>(), gradient.numel())) {
-      return "a non-finite gradient of " + parameter.name;
+std::string Trainer::NotFinite(const TrainingStep::Result& result) const {
+  const double loss = result.mse + result.orientation + result.sparsity + result.depth;
+  if (!std::isfinite(loss)) return std::isnan(loss) ? "a loss that is not a number" : "an infinite loss";
+  for (size_t i = 0; i < step_.gradients().size(); ++i) {
+    const Tensor& gradient = step_.gradients()[i];
+    if (!AllFinite(gradient.const_data_ptr<float>(), gradient.numel())) {
+      return "a non-finite gradient of " + state_.field.parameters()[i].name;
     }
   }
+  return {};
+}
 
+void Trainer::Optimise(double progress) {
   const TrainConfig& config = preset_.train;
   ++state_.adam_t;
   const double factor = RateFactor(config, progress, state_.progress_at_reset);
+  const std::vector<NrffField::Parameter>& parameters = state_.field.parameters();
   for (size_t i = 0; i < parameters.size(); ++i) {
-    const Tensor gradient = parameters[i].value.grad();
-    if (!gradient.defined()) continue;  // nothing was shaded
     const AdamOptions options{
         .learning_rate = factor * (parameters[i].is_grid ? config.grid_rate : config.network_rate),
         .beta1 = config.beta1,
         .beta2 = config.beta2,
         .epsilon = config.epsilon,
         .lazy = parameters[i].is_grid && config.lazy_grids};
-    AdamStep(options, state_.adam_t, gradient.numel(), gradient.contiguous().const_data_ptr<float>(),
+    const Tensor& gradient = step_.gradients()[i];
+    AdamStep(options, state_.adam_t, gradient.numel(), gradient.const_data_ptr<float>(),
              parameters[i].value.mutable_data_ptr<float>(), state_.adam_m[i].mutable_data_ptr<float>(),
              state_.adam_v[i].mutable_data_ptr<float>());
   }
-  return {};
 }
 
 }  // namespace nrff

@@ -13,6 +13,7 @@
 #include "model/depth_batch.h"
 #include "model/ray_batch.h"
 #include "model/train_state.h"
+#include "model/training_step.h"
 #include "pipeline/scene.h"
 
 namespace nrff {
@@ -50,11 +51,12 @@ class Trainer {
 
  private:
   void FollowSchedule(double progress);
-  torch::Tensor DepthTerm(const RenderOptions& options);
   void UpdateOccupancy(bool all_cells);
   void Shrink();
-  // Nothing when all is finite, else what is not.
-  std::string Optimise(const torch::Tensor& loss, double progress);
+  // What of the step is not finite, if anything.
+  std::string NotFinite(const TrainingStep::Result& result) const;
+  void Optimise(double progress);
+
   const Scene& scene_;
   Preset preset_;
   TrainOptions options_;
@@ -62,6 +64,7 @@ class Trainer {
   DepthSource depths_;
   double background_;
   TrainState state_;
+  TrainingStep step_;  // of state_.field
 };
 
 }  // namespace nrff

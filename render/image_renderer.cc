@@ -1,34 +1,112 @@
 #include "render/image_renderer.h"
 
-#include <ATen/ATen.h>
-#include <c10/core/GradMode.h>
+#include <omp.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
+#include <memory>
+
+#include "render/kernels/camera_rays.h"
+#include "render/ray_block.h"
 
 namespace nrff {
 namespace {
 
-// Rays per tile: enough to keep every core busy, few enough for the samples' features to stay small.
-constexpr int64_t kTileRays = 8192;
+constexpr int kTileSide = 8;  // pixels: neighbouring rays meet the same cells
+static_assert(kTileSide * kTileSide == RayBlock::kRays);
 
-// [first, first + n) of the view's pixels in row-major order, as RaysThroughPixels takes them.
-torch::Tensor TilePixels(const View& view, int64_t first, int64_t n) {
-  torch::Tensor pixels = at::empty({n, 3}, at::kInt);
-  auto* data = pixels.mutable_data_ptr<int32_t>();
-  for (int64_t i = 0; i < n; ++i) {
-    data[3 * i] = 0;
-    data[3 * i + 1] = static_cast<int32_t>((first + i) % view.width);
-    data[3 * i + 2] = static_cast<int32_t>((first + i) / view.width);
+// What one thread needs to render tiles.
+class TileRenderer {
+ public:
+  TileRenderer(const RadianceField& field, const OccupancyGrid& occupancy, const SceneMap& map, const View& view,
+               const RenderOptions& options)
+      : field_(field),
+        shader_(field.MakeShader()),
+        view_(view),
+        camera_{.fx = view.fx, .fy = view.fy, .cx = view.cx, .cy = view.cy},
+        options_(options) {
+    std::copy_n(view.scene_from_camera.begin(), 12, camera_.scene_from_camera);
+    args_.origins = origins_;
+    args_.directions = directions_;
+    args_.occupancy = occupancy.bits();
+    args_.map = map;
+    args_.step = options.step;
+    args_.near = options.near;
+    args_.far = options.far;
   }
-  return pixels;
-}
 
-void Append(std::vector<float>& image, const torch::Tensor& tile) {
-  const torch::Tensor values = tile.contiguous();
-  const float* data = values.const_data_ptr<float>();
-  image.insert(image.end(), data, data + values.numel());
-}
+  // Writes the tile's pixels into the image, Σ w t and Σ w n as they come.
+  void Render(int tile_x, int tile_y, RenderedImage& image) {
+    const int x_end = std::min(view_.width, (tile_x + 1) * kTileSide);
+    const int y_end = std::min(view_.height, (tile_y + 1) * kTileSide);
+    int64_t n = 0;
+    for (int y = tile_y * kTileSide; y < y_end; ++y) {
+      for (int x = tile_x * kTileSide; x < x_end; ++x, ++n) {
+        pixels_[3 * n] = 0;
+        pixels_[3 * n + 1] = x;
+        pixels_[3 * n + 2] = y;
+      }
+    }
+    CameraRaysCpu(CameraRaysArgs<float>{
+        .n_rays = n, .cameras = &camera_, .pixels = pixels_, .origins = origins_, .directions = directions_});
+    args_.n_rays = n;
+    block_.Trace(field_, args_, 0, n, static_cast<float>(options_.stop_transmittance));
+    block_.Select(static_cast<float>(options_.weight_threshold));
+    Shade();
+    for (int64_t r = 0; r < n; ++r) {
+      const int64_t pixel = int64_t{pixels_[3 * r + 2]} * view_.width + pixels_[3 * r + 1];
+      Composite(r, pixel, image);
+    }
+  }
+
+  int64_t n_samples = 0, n_shaded = 0;
+
+ private:
+  void Shade() {
+    const auto n = static_cast<int64_t>(block_.shaded.size());
+    n_samples += block_.n_evaluated;
+    n_shaded += n;
+    for (std::vector<float>* values : {&points_, &sample_directions_, &rgb_, &normals_}) values->resize(3 * n);
+    for (int64_t r = 0; r < block_.n_rays; ++r) {
+      for (int64_t i = block_.shaded_offsets[r]; i < block_.shaded_offsets[r + 1]; ++i) {
+        std::copy_n(&block_.points[3 * block_.shaded[i]], 3, &points_[3 * i]);
+        std::copy_n(&directions_[3 * r], 3, &sample_directions_[3 * i]);
+      }
+    }
+    if (n > 0) shader_->Shade(points_.data(), sample_directions_.data(), n, rgb_.data(), normals_.data());
+  }
+
+  void Composite(int64_t r, int64_t pixel, RenderedImage& image) const {
+    const float behind = block_.transmittance[r];
+    float rgb[3] = {}, normal[3] = {}, depth = 0;
+    for (int64_t i = block_.shaded_offsets[r]; i < block_.shaded_offsets[r + 1]; ++i) {
+      const float weight = block_.weights[block_.shaded[i]];
+      for (int c = 0; c < 3; ++c) {
+        rgb[c] += weight * rgb_[3 * i + c];
+        normal[c] += weight * normals_[3 * i + c];
+      }
+    }
+    for (int64_t i = block_.offsets[r]; i < block_.offsets[r + 1]; ++i) depth += block_.weights[i] * block_.t[i];
+    for (int c = 0; c < 3; ++c) {
+      image.rgb[3 * pixel + c] = rgb[c] + behind * static_cast<float>(options_.background);
+      image.normal[3 * pixel + c] = normal[c];
+    }
+    image.depth[pixel] = depth;
+    image.opacity[pixel] = 1 - behind;
+  }
+
+  const RadianceField& field_;
+  std::unique_ptr<RadianceField::Shader> shader_;
+  const View& view_;
+  PinholeCamera camera_;
+  const RenderOptions& options_;
+  MarchArgs<float> args_;
+  RayBlock block_;
+  int32_t pixels_[3 * RayBlock::kRays];
+  float origins_[3 * RayBlock::kRays], directions_[3 * RayBlock::kRays];
+  std::vector<float> points_, sample_directions_, rgb_, normals_;
+};
 
 // Σ w t is the expected distance times the opacity; where less than half the light is stopped, there is no surface.
 void NormaliseDepth(RenderedImage& image) {
@@ -51,28 +129,34 @@ void NormaliseNormals(RenderedImage& image) {
 
 RenderedImage RenderImage(const RadianceField& field, const OccupancyGrid& occupancy, const SceneMap& map,
                           const View& view, const RenderOptions& options, const TileProgress& progress) {
-  const c10::NoGradGuard no_grad;
-  const std::vector<View> views{view};
+  CheckOptions(options);
   const int64_t n_rays = int64_t{view.width} * view.height;
   RenderedImage image;
   image.width = view.width;
   image.height = view.height;
-  image.rgb.reserve(3 * n_rays);
-  image.depth.reserve(n_rays);
-  image.normal.reserve(3 * n_rays);
-  image.opacity.reserve(n_rays);
-  for (int64_t first = 0; first < n_rays; first += kTileRays) {
-    const int64_t n = std::min(kTileRays, n_rays - first);
-    const Rays rays = RaysThroughPixels(views, TilePixels(view, first, n), torch::kFloat);
-    const RenderResult tile = RenderRays(field, occupancy, map, rays, options);
-    Append(image.rgb, tile.rgb);
-    Append(image.depth, tile.depth);
-    Append(image.normal, tile.normal);
-    Append(image.opacity, tile.opacity);
-    image.n_samples += tile.n_samples;
-    image.n_shaded += tile.n_shaded;
-    if (progress) progress(first + n);
+  image.rgb.resize(3 * n_rays);
+  image.depth.resize(n_rays);
+  image.normal.resize(3 * n_rays);
+  image.opacity.resize(n_rays);
+  const int n_columns = (view.width + kTileSide - 1) / kTileSide, n_rows = (view.height + kTileSide - 1) / kTileSide;
+  const int n_tiles = n_columns * n_rows;
+  std::atomic<int> n_done = 0;
+#pragma omp parallel
+  {
+    TileRenderer renderer(field, occupancy, map, view, options);
+#pragma omp for schedule(dynamic, 4)
+    for (int tile = 0; tile < n_tiles; ++tile) {
+      renderer.Render(tile % n_columns, tile / n_columns, image);
+      ++n_done;
+      if (progress && omp_get_thread_num() == 0) progress(n_rays * n_done / n_tiles);
+    }
+#pragma omp critical
+    {
+      image.n_samples += renderer.n_samples;
+      image.n_shaded += renderer.n_shaded;
+    }
   }
+  if (progress) progress(n_rays);
   NormaliseDepth(image);
   NormaliseNormals(image);
   return image;

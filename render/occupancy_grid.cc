@@ -1,8 +1,5 @@
 #include "render/occupancy_grid.h"
 
-#include <ATen/ops/from_blob.h>
-#include <c10/core/GradMode.h>
-
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -18,7 +15,7 @@ namespace {
 
 constexpr int64_t kCellsPerBlock = int64_t{kOccupancyBlock} * kOccupancyBlock * kOccupancyBlock;
 constexpr float kNeverMeasured = -1;
-constexpr int64_t kMeasuredAtOnce = int64_t{1} << 16;  // points per call of the field: bounds its memory
+constexpr int64_t kMeasuredAtOnce = 1024;  // points per call of the field
 
 int64_t CountBits(const std::vector<uint64_t>& words) {
   int64_t n = 0;
@@ -161,14 +158,15 @@ std::vector<int64_t> OccupancyGrid::ChooseCells(const UpdateOptions& options) co
 
 void OccupancyGrid::Measure(const RadianceField& field, const std::vector<int64_t>& cells,
                             const UpdateOptions& options) {
-  const c10::NoGradGuard no_grad;
   const uint64_t stream = StreamAt(RandomStream::kOccupancyJitter, options.counter);
   const float cell_size = 2.F / static_cast<float>(resolution_);
-  std::vector<float> points;
-  for (int64_t begin = 0; begin < static_cast<int64_t>(cells.size()); begin += kMeasuredAtOnce) {
-    const int64_t n = std::min<int64_t>(kMeasuredAtOnce, static_cast<int64_t>(cells.size()) - begin);
-    points.resize(3 * n);
-#pragma omp parallel for schedule(static)
+  const auto step = static_cast<float>(options.step);
+  const auto n_cells = static_cast<int64_t>(cells.size());
+  std::vector<float> measured(n_cells);
+#pragma omp parallel for schedule(dynamic)
+  for (int64_t begin = 0; begin < n_cells; begin += kMeasuredAtOnce) {
+    const int64_t n = std::min<int64_t>(kMeasuredAtOnce, n_cells - begin);
+    float points[3 * kMeasuredAtOnce];
     for (int64_t i = 0; i < n; ++i) {
       const std::array<int, 3> cell = CellAt(cells[begin + i]);
       for (int k = 0; k < 3; ++k) {
@@ -176,14 +174,12 @@ void OccupancyGrid::Measure(const RadianceField& field, const std::vector<int64_
         points[3 * i + k] = (static_cast<float>(cell[k]) + jitter) * cell_size - 1;
       }
     }
-    const torch::Tensor sigma =
-        field.Density(at::from_blob(points.data(), {n, 3}, at::kFloat)).to(at::kFloat).contiguous();
-    const float* sigma_data = sigma.const_data_ptr<float>();
-    const auto step = static_cast<float>(options.step);
-    for (int64_t i = 0; i < n; ++i) {  // in order: a cell may have been drawn twice
-      float& opacity = opacity_[cells[begin + i]];
-      opacity = std::max({options.decay * opacity, -std::expm1(-sigma_data[i] * step), 0.F});
-    }
+    field.DensityOf(points, n, &measured[begin]);
+    for (int64_t i = 0; i < n; ++i) measured[begin + i] = -std::expm1(-measured[begin + i] * step);
+  }
+  for (int64_t i = 0; i < n_cells; ++i) {  // in order: a cell may have been drawn twice
+    float& opacity = opacity_[cells[i]];
+    opacity = std::max({options.decay * opacity, measured[i], 0.F});
   }
 }
 

@@ -1,8 +1,11 @@
 // The renderer's view of a model: density anywhere, colour and normal where asked. Anything that can say these can be
-// rendered and trained.
+// rendered.
 #pragma once
 
 #include <torch/types.h>
+
+#include <cstdint>
+#include <memory>
 
 namespace nrff {
 
@@ -21,6 +24,18 @@ class RadianceField {
   };
   // points as above; ray_directions [n, 3] unit, leaving the camera.
   virtual Shading Shade(const torch::Tensor& points, const torch::Tensor& ray_directions) const = 0;
+
+  // The same for one thread of a renderer, in float and without gradients. By default by way of the above.
+  // points [n, 3] → sigma [n]
+  virtual void DensityOf(const float* points, int64_t n, float* sigma) const;
+  class Shader {
+   public:
+    virtual ~Shader() = default;
+    // points, ray_directions [n, 3] → rgb, normals [n, 3]
+    virtual void Shade(const float* points, const float* ray_directions, int64_t n, float* rgb, float* normals) = 0;
+  };
+  // For the use of one thread; the field must outlive it.
+  virtual std::unique_ptr<Shader> MakeShader() const;
 };
 
 }  // namespace nrff

@@ -154,6 +154,8 @@ Selection SelectSamples(const Tensor& weights, const Tensor& ray_offsets, double
   return selection;
 }
 
+}  // namespace
+
 void CheckOptions(const RenderOptions& options) {
   const auto refuse = [](const char* name, double value, const char* expected) {
     return InputError("the render option " + std::string(name) + " is " + std::to_string(value) + "; it must be " +
@@ -165,8 +167,6 @@ void CheckOptions(const RenderOptions& options) {
     throw refuse("far", options.far, "finite and beyond near");
   }
 }
-
-}  // namespace
 
 Rays RaysThroughPixels(const std::vector<View>& views, const Tensor& pixels, torch::Dtype type) {
   std::vector<PinholeCamera> cameras(views.size());

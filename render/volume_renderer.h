@@ -68,6 +68,9 @@ struct Samples {
 // The marched samples in occupied cells (render/kernels/sampling.h). Throws as RenderRays.
 Samples MarchRays(const OccupancyGrid& occupancy, const SceneMap& map, const Rays& rays, const RenderOptions& options);
 
+// Throws InputError on a step, near or far that cannot be marched.
+void CheckOptions(const RenderOptions& options);
+
 // How light gets along the rays, without colour.
 struct Visibility {
   torch::Tensor sigma;          // [m]

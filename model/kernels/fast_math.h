@@ -55,4 +55,17 @@ NRFF_INLINE void FastSoftplus(Scalar x, Scalar& softplus, Scalar& derivative) {
   derivative = numerator / (1 + e);
 }
 
+// The standard normal distribution function, within 1.5e-7: Abramowitz and Stegun 7.1.26.
+NRFF_INLINE float FastNormalCdf(float x) {
+  const float a = (x > 0 ? x : -x) * 0.707106781F;
+  const float t = 1 / (1 + 0.3275911F * a);
+  float p = 1.061405429F;
+  p = p * t - 1.453152027F;
+  p = p * t + 1.421413741F;
+  p = p * t - 0.284496736F;
+  p = p * t + 0.254829592F;
+  const float tail = 0.5F * p * t * FastExp(-a * a);
+  return x > 0 ? 1 - tail : tail;
+}
+
 }  // namespace nrff

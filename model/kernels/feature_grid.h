@@ -38,30 +38,34 @@ struct GridLayout {
   std::vector<Level> levels;
   int64_t n_parameters = 0;
 
-  int n_features() const { return int(levels.size()) * 3 * n_channels; }
+  int n_products() const { return int(levels.size()) * 3; }
+  int n_features() const { return n_products() * n_channels; }
 };
 
 // Resolutions ⌊base · b^l⌋ with b such that the last level has `max_resolution`. Throws std::invalid_argument unless
 // n_levels ≥ 1, 2 ≤ base ≤ max and n_channels is 2 or 4.
 GridLayout MakeGridLayout(int n_levels, int base_resolution, int max_resolution, int n_channels);
 
-// points [n, 3]; parameters [layout.n_parameters]; Scalar is float or double. Backward accumulates into the parameters'
-// gradient; every element is summed in the order of the points, whatever the number of threads.
+// points [n, 3]; parameters [layout.n_parameters]; Scalar is float or double. One thread's work: callers split points
+// between threads (forward) or products (backward).
 
-// features [n, layout.n_features()]: per level, per product, C values. Overwritten.
+// features [layout.n_products()][n][C], overwritten: C values of product p of level l at row 3·l + p.
 template <typename Scalar>
 void GridConcatForward(const GridLayout& layout, const Scalar* parameters, const Scalar* points, int64_t n,
                        Scalar* features);
-template <typename Scalar>
-void GridConcatBackward(const GridLayout& layout, const Scalar* parameters, const Scalar* points, int64_t n,
-                        const Scalar* d_features, Scalar* d_parameters);
 
 // feature [n]: sum over levels, products and channels. Overwritten.
 template <typename Scalar>
 void GridSumForward(const GridLayout& layout, const Scalar* parameters, const Scalar* points, int64_t n,
                     Scalar* feature);
+
+// Of product `product` = 3·level + p alone: accumulates into its plane's and line's part of d_parameters, in the order
+// of the points. d_features [n][C] of that product; d_feature [n].
 template <typename Scalar>
-void GridSumBackward(const GridLayout& layout, const Scalar* parameters, const Scalar* points, int64_t n,
+void GridConcatBackward(const GridLayout& layout, int product, const Scalar* parameters, const Scalar* points,
+                        int64_t n, const Scalar* d_features, Scalar* d_parameters);
+template <typename Scalar>
+void GridSumBackward(const GridLayout& layout, int product, const Scalar* parameters, const Scalar* points, int64_t n,
                      const Scalar* d_feature, Scalar* d_parameters);
 
 }  // namespace nrff

@@ -60,234 +60,262 @@ NRFF_INLINE void AddTo(Scalar* to, const Vector& what) {
   std::memcpy(to, &sum, sizeof(Vector));
 }
 
-// The two nodes' sum.
+// (1 − fraction) for the lanes of the first node, fraction for those of the second.
 template <typename Scalar, int C>
-NRFF_INLINE void Fold(const Pair<Scalar, C>& pair, Node<Scalar, C>& sum) {
-  Node<Scalar, C> halves[2];
-  std::memcpy(halves, &pair, sizeof(pair));
-  sum = halves[0] + halves[1];
+NRFF_INLINE void EndWeights(Scalar fraction, Pair<Scalar, C>& weights) {
+  Pair<Scalar, C> first{}, slope{};
+  for (int c = 0; c < C; ++c) {
+    first[c] = 1;
+    slope[c] = -1;
+    slope[C + c] = 1;
+  }
+  weights = first + slope * fraction;
 }
 
-// node · weight, for both nodes.
+// The two nodes' sum, for both.
 template <typename Scalar, int C>
-NRFF_INLINE void Spread(const Node<Scalar, C>& node, Scalar weight0, Scalar weight1, Pair<Scalar, C>& pair) {
-  const Node<Scalar, C> halves[2] = {node * weight0, node * weight1};
-  std::memcpy(&pair, halves, sizeof(pair));
+NRFF_INLINE void SumOfEnds(const Pair<Scalar, C>& pair, Pair<Scalar, C>& sum) {
+  if constexpr (C == 2) {
+    sum = pair + __builtin_shufflevector(pair, pair, 2, 3, 0, 1);
+  } else {
+    sum = pair + __builtin_shufflevector(pair, pair, 4, 5, 6, 7, 0, 1, 2, 3);
+  }
 }
 
-// Cell and position in it along one axis.
+// Where the points of a block lie among a level's nodes, along one axis.
 template <typename Scalar>
-struct Position {
-  int cell;
-  Scalar fraction;
+struct Positions {
+  int32_t cell[kBlock];
+  Scalar fraction[kBlock];
+
+  NRFF_INLINE void Find(const Scalar* points, int axis, int resolution, int64_t n) {
+    const Scalar last = Scalar(resolution - 1), scale = Scalar(0.5) * last;
+    const int last_cell = resolution - 2;
+    for (int64_t i = 0; i < n; ++i) {
+      Scalar node = (points[3 * i + axis] + 1) * scale;
+      node = node > 0 ? node : 0;  // also for NaN
+      node = node < last ? node : last;
+      int at = int(node);
+      at = at < last_cell ? at : last_cell;
+      cell[i] = at;
+      fraction[i] = node - Scalar(at);
+    }
+  }
 };
 
-template <typename Scalar>
-NRFF_INLINE Position<Scalar> Locate(Scalar coordinate, int resolution) {
-  Scalar node = (coordinate + 1) * (Scalar(0.5) * Scalar(resolution - 1));
-  node = node > 0 ? node : 0;  // also for NaN
-  node = node < Scalar(resolution - 1) ? node : Scalar(resolution - 1);
-  const int cell = std::min(int(node), resolution - 2);
-  return {cell, node - Scalar(cell)};
-}
-
-// One plane ⊙ line product at one point: the interpolated values, and where they came from.
+// One plane ⊙ line product of one level for the points of a block: where its nodes lie, in elements.
 template <typename Scalar, int C>
-struct ProductAt {
-  Pair<Scalar, C> column_weights, line_weights;
-  Node<Scalar, C> plane_value, line_value;
-  Position<Scalar> row, line;
-  int64_t plane_index, line_index;
+struct Product {
+  const Scalar *columns, *rows, *lines;  // fractions
   int64_t row_stride;
+  int64_t plane[kBlock], line[kBlock];
 
-  NRFF_INLINE void Read(const GridProduct& product, const GridLayout::Level& level, int p, const Scalar* parameters,
-                        const Scalar* point) {
-    const Position<Scalar> column = Locate(point[product.column_axis], level.resolution);
-    row = Locate(point[product.row_axis], level.resolution);
-    line = Locate(point[product.line_axis], level.resolution);
+  NRFF_INLINE void Find(const GridLayout::Level& level, int p, const Positions<Scalar>* axes, int64_t n) {
+    const auto [column_axis, row_axis, line_axis] = std::array{
+        kGridProducts[p].column_axis, kGridProducts[p].row_axis, kGridProducts[p].line_axis};
+    columns = axes[column_axis].fraction;
+    rows = axes[row_axis].fraction;
+    lines = axes[line_axis].fraction;
     row_stride = int64_t(level.resolution) * C;
-    plane_index = level.plane_offsets[p] + row.cell * row_stride + int64_t(column.cell) * C;
-    line_index = level.line_offsets[p] + int64_t(line.cell) * C;
-    const Node<Scalar, C> ones = Node<Scalar, C>{} + 1;
-    Spread<Scalar, C>(ones, 1 - column.fraction, column.fraction, column_weights);
-    Spread<Scalar, C>(ones, 1 - line.fraction, line.fraction, line_weights);
-    Pair<Scalar, C> low, high, ends;
-    Load(parameters + plane_index, low);
-    Load(parameters + plane_index + row_stride, high);
-    Load(parameters + line_index, ends);
-    Fold<Scalar, C>((low * (1 - row.fraction) + high * row.fraction) * column_weights, plane_value);
-    Fold<Scalar, C>(ends * line_weights, line_value);
+    const int32_t *column = axes[column_axis].cell, *row = axes[row_axis].cell, *node = axes[line_axis].cell;
+    const int64_t plane_offset = level.plane_offsets[p], line_offset = level.line_offsets[p];
+    for (int64_t i = 0; i < n; ++i) {
+      plane[i] = plane_offset + C * int64_t(row[i] * level.resolution + column[i]);
+      line[i] = line_offset + C * int64_t(node[i]);
+    }
   }
 
-  // d_value: gradient of the product's C values.
-  NRFF_INLINE void Scatter(const Node<Scalar, C>& d_value, Scalar* d_parameters) const {
-    const Node<Scalar, C> d_plane = d_value * line_value;
-    const Node<Scalar, C> d_line = d_value * plane_value;
-    Pair<Scalar, C> spread;
-    Spread<Scalar, C>(d_plane, 1, 1, spread);
-    spread *= column_weights;
-    AddTo(d_parameters + plane_index, spread * (1 - row.fraction));
-    AddTo(d_parameters + plane_index + row_stride, spread * row.fraction);
-    Spread<Scalar, C>(d_line, 1 - line.fraction, line.fraction, spread);
-    AddTo(d_parameters + line_index, spread);
+  // The plane's values at both columns, weighted, and the line's value twice: their product's two halves sum to the
+  // C values.
+  NRFF_INLINE void Read(const Scalar* parameters, int64_t i, Pair<Scalar, C>& plane_pair,
+                        Pair<Scalar, C>& line_value) const {
+    Pair<Scalar, C> low, high, ends, column_weights, line_weights;
+    Load(parameters + plane[i], low);
+    Load(parameters + plane[i] + row_stride, high);
+    Load(parameters + line[i], ends);
+    EndWeights<Scalar, C>(columns[i], column_weights);
+    EndWeights<Scalar, C>(lines[i], line_weights);
+    plane_pair = (low + (high - low) * rows[i]) * column_weights;
+    SumOfEnds<Scalar, C>(ends * line_weights, line_value);
+  }
+
+  // d_value: gradient of the C values, twice.
+  NRFF_INLINE void Scatter(const Scalar* parameters, int64_t i, const Pair<Scalar, C>& d_value,
+                           Scalar* d_parameters) const {
+    Pair<Scalar, C> low, high, ends, column_weights, line_weights, plane_value, line_value;
+    Load(parameters + plane[i], low);
+    Load(parameters + plane[i] + row_stride, high);
+    Load(parameters + line[i], ends);
+    EndWeights<Scalar, C>(columns[i], column_weights);
+    EndWeights<Scalar, C>(lines[i], line_weights);
+    SumOfEnds<Scalar, C>((low + (high - low) * rows[i]) * column_weights, plane_value);
+    SumOfEnds<Scalar, C>(ends * line_weights, line_value);
+    const Pair<Scalar, C> d_plane = d_value * line_value * column_weights;
+    const Pair<Scalar, C> d_high = d_plane * rows[i];
+    AddTo(d_parameters + plane[i], d_plane - d_high);
+    AddTo(d_parameters + plane[i] + row_stride, d_high);
+    AddTo(d_parameters + line[i], d_value * plane_value * line_weights);
   }
 };
 
+// Calls work(begin, n) for blocks of points.
+template <typename Work>
+NRFF_INLINE void ForBlocks(int64_t n, Work work) {
+  for (int64_t begin = 0; begin < n; begin += kBlock) work(begin, std::min(kBlock, n - begin));
+}
+
 template <typename Scalar, int C>
-NRFF_INLINE void ConcatForward(const GridLayout& layout, const Scalar* parameters, const Scalar* points, int64_t begin,
-                               int64_t end, Scalar* features) {
-  const int64_t stride = layout.n_features();
-  for (size_t l = 0; l < layout.levels.size(); ++l) {
-    for (int p = 0; p < 3; ++p) {
-      const int64_t column = int64_t(l * 3 + p) * C;
-      for (int64_t i = begin; i < end; ++i) {
-        ProductAt<Scalar, C> at;
-        at.Read(kGridProducts[p], layout.levels[l], p, parameters, points + 3 * i);
-        const Node<Scalar, C> value = at.plane_value * at.line_value;
-        std::memcpy(features + i * stride + column, &value, sizeof(value));
+NRFF_INLINE void ConcatForward(const GridLayout& layout, const Scalar* parameters, const Scalar* points, int64_t n,
+                               Scalar* features) {
+  ForBlocks(n, [=, &layout](int64_t begin, int64_t n_block) NRFF_LAMBDA_INLINE {
+    Positions<Scalar> axes[3];
+    Product<Scalar, C> product;
+    for (size_t l = 0; l < layout.levels.size(); ++l) {
+      const GridLayout::Level& level = layout.levels[l];
+      for (int axis = 0; axis < 3; ++axis) axes[axis].Find(points + 3 * begin, axis, level.resolution, n_block);
+      for (int p = 0; p < 3; ++p) {
+        product.Find(level, p, axes, n_block);
+        Scalar* out = features + (int64_t(l * 3 + p) * n + begin) * C;
+        for (int64_t i = 0; i < n_block; ++i) {
+          Pair<Scalar, C> plane, line;
+          product.Read(parameters, i, plane, line);
+          SumOfEnds<Scalar, C>(plane * line, plane);
+          std::memcpy(out + i * C, &plane, C * sizeof(Scalar));
+        }
       }
     }
+  });
+}
+
+template <typename Scalar, int C>
+NRFF_INLINE void SumForward(const GridLayout& layout, const Scalar* parameters, const Scalar* points, int64_t n,
+                            Scalar* feature) {
+  ForBlocks(n, [=, &layout](int64_t begin, int64_t n_block) NRFF_LAMBDA_INLINE {
+    Positions<Scalar> axes[3];
+    Product<Scalar, C> product;
+    Pair<Scalar, C> sums[kBlock] = {};
+    for (const GridLayout::Level& level : layout.levels) {
+      for (int axis = 0; axis < 3; ++axis) axes[axis].Find(points + 3 * begin, axis, level.resolution, n_block);
+      for (int p = 0; p < 3; ++p) {
+        product.Find(level, p, axes, n_block);
+        for (int64_t i = 0; i < n_block; ++i) {
+          Pair<Scalar, C> plane, line;
+          product.Read(parameters, i, plane, line);
+          sums[i] += plane * line;
+        }
+      }
+    }
+    for (int64_t i = 0; i < n_block; ++i) {
+      Scalar sum = 0;
+      for (int c = 0; c < 2 * C; ++c) sum += sums[i][c];
+      feature[begin + i] = sum;
+    }
+  });
+}
+
+// Calls scatter(product, i within the block, i) for all points.
+template <typename Scalar, int C, typename Scatter>
+NRFF_INLINE void ForScattered(const GridLayout& layout, int row, const Scalar* points, int64_t n, Scatter scatter) {
+  const GridLayout::Level& level = layout.levels[row / 3];
+  Positions<Scalar> axes[3];
+  Product<Scalar, C> product;
+  for (int64_t begin = 0; begin < n; begin += kBlock) {
+    const int64_t n_block = std::min(kBlock, n - begin);
+    for (int axis = 0; axis < 3; ++axis) axes[axis].Find(points + 3 * begin, axis, level.resolution, n_block);
+    product.Find(level, row % 3, axes, n_block);
+    for (int64_t i = 0; i < n_block; ++i) scatter(product, i, begin + i);
   }
 }
 
 template <typename Scalar, int C>
-NRFF_INLINE void SumForward(const GridLayout& layout, const Scalar* parameters, const Scalar* points, int64_t begin,
-                            int64_t end, Scalar* feature) {
-  Node<Scalar, C> sums[kBlock] = {};
-  for (const GridLayout::Level& level : layout.levels) {
-    for (int p = 0; p < 3; ++p) {
-      for (int64_t i = begin; i < end; ++i) {
-        ProductAt<Scalar, C> at;
-        at.Read(kGridProducts[p], level, p, parameters, points + 3 * i);
-        sums[i - begin] += at.plane_value * at.line_value;
-      }
-    }
-  }
-  for (int64_t i = begin; i < end; ++i) {
-    Scalar sum = 0;
-    for (int c = 0; c < C; ++c) sum += sums[i - begin][c];
-    feature[i] = sum;
-  }
-}
-
-template <typename Scalar, int C>
-NRFF_INLINE void ConcatBackward(const GridLayout& layout, int l, int p, const Scalar* parameters, const Scalar* points,
+NRFF_INLINE void ConcatBackward(const GridLayout& layout, int row, const Scalar* parameters, const Scalar* points,
                                 int64_t n, const Scalar* d_features, Scalar* d_parameters) {
-  const int64_t stride = layout.n_features();
-  for (int64_t i = 0; i < n; ++i) {
-    Node<Scalar, C> d_value;
-    Load(d_features + i * stride + int64_t(l * 3 + p) * C, d_value);
-    ProductAt<Scalar, C> at;
-    at.Read(kGridProducts[p], layout.levels[l], p, parameters, points + 3 * i);
-    at.Scatter(d_value, d_parameters);
-  }
+  ForScattered<Scalar, C>(layout, row, points, n,
+                          [=](const Product<Scalar, C>& product, int64_t i, int64_t at) NRFF_LAMBDA_INLINE {
+                            Node<Scalar, C> d_value;
+                            Pair<Scalar, C> twice;
+                            Load(d_features + at * C, d_value);
+                            if constexpr (C == 2) {
+                              twice = __builtin_shufflevector(d_value, d_value, 0, 1, 0, 1);
+                            } else {
+                              twice = __builtin_shufflevector(d_value, d_value, 0, 1, 2, 3, 0, 1, 2, 3);
+                            }
+                            product.Scatter(parameters, i, twice, d_parameters);
+                          });
 }
 
 template <typename Scalar, int C>
-NRFF_INLINE void SumBackward(const GridLayout& layout, int l, int p, const Scalar* parameters, const Scalar* points,
+NRFF_INLINE void SumBackward(const GridLayout& layout, int row, const Scalar* parameters, const Scalar* points,
                              int64_t n, const Scalar* d_feature, Scalar* d_parameters) {
-  for (int64_t i = 0; i < n; ++i) {
-    if (d_feature[i] == 0) continue;  // many samples lie behind what their ray ends at
-    ProductAt<Scalar, C> at;
-    at.Read(kGridProducts[p], layout.levels[l], p, parameters, points + 3 * i);
-    at.Scatter(Node<Scalar, C>{} + d_feature[i], d_parameters);
-  }
+  ForScattered<Scalar, C>(layout, row, points, n,
+                          [=](const Product<Scalar, C>& product, int64_t i, int64_t at) NRFF_LAMBDA_INLINE {
+                            product.Scatter(parameters, i, Pair<Scalar, C>{} + d_feature[at], d_parameters);
+                          });
 }
 
-// The units of work of one thread, per scalar type because multiversioned functions cannot be templates.
+// Per scalar type because multiversioned functions cannot be templates.
 // NOLINTBEGIN(bugprone-macro-parentheses): a type cannot stand in parentheses
-#define NRFF_GRID_KERNELS(Scalar)                                                                                     \
-  NRFF_MULTIVERSION void ConcatForwardBlock(const GridLayout& layout, const Scalar* parameters, const Scalar* points, \
-                                            int64_t begin, int64_t end, Scalar* features) {                           \
-    if (layout.n_channels == 2)                                                                                       \
-      ConcatForward<Scalar, 2>(layout, parameters, points, begin, end, features);                                     \
-    else                                                                                                              \
-      ConcatForward<Scalar, 4>(layout, parameters, points, begin, end, features);                                     \
-  }                                                                                                                   \
-  NRFF_MULTIVERSION void SumForwardBlock(const GridLayout& layout, const Scalar* parameters, const Scalar* points,    \
-                                         int64_t begin, int64_t end, Scalar* feature) {                               \
-    if (layout.n_channels == 2)                                                                                       \
-      SumForward<Scalar, 2>(layout, parameters, points, begin, end, feature);                                         \
-    else                                                                                                              \
-      SumForward<Scalar, 4>(layout, parameters, points, begin, end, feature);                                         \
-  }                                                                                                                   \
-  NRFF_MULTIVERSION void ConcatBackwardProduct(const GridLayout& layout, int l, int p, const Scalar* parameters,      \
-                                               const Scalar* points, int64_t n, const Scalar* d_features,             \
-                                               Scalar* d_parameters) {                                                \
-    if (layout.n_channels == 2)                                                                                       \
-      ConcatBackward<Scalar, 2>(layout, l, p, parameters, points, n, d_features, d_parameters);                       \
-    else                                                                                                              \
-      ConcatBackward<Scalar, 4>(layout, l, p, parameters, points, n, d_features, d_parameters);                       \
-  }                                                                                                                   \
-  NRFF_MULTIVERSION void SumBackwardProduct(const GridLayout& layout, int l, int p, const Scalar* parameters,         \
-                                            const Scalar* points, int64_t n, const Scalar* d_feature,                 \
-                                            Scalar* d_parameters) {                                                   \
-    if (layout.n_channels == 2)                                                                                       \
-      SumBackward<Scalar, 2>(layout, l, p, parameters, points, n, d_feature, d_parameters);                           \
-    else                                                                                                              \
-      SumBackward<Scalar, 4>(layout, l, p, parameters, points, n, d_feature, d_parameters);                           \
+#define NRFF_GRID_KERNEL(Scalar, Name, ...)                        \
+  if (layout.n_channels == 2) Name<Scalar, 2>(layout, __VA_ARGS__); \
+  if (layout.n_channels == 4) Name<Scalar, 4>(layout, __VA_ARGS__)
+#define NRFF_GRID_KERNELS(Scalar)                                                                                      \
+  NRFF_MULTIVERSION void ConcatForwardOf(const GridLayout& layout, const Scalar* parameters, const Scalar* points,     \
+                                         int64_t n, Scalar* features) {                                                \
+    NRFF_GRID_KERNEL(Scalar, ConcatForward, parameters, points, n, features);                                          \
+  }                                                                                                                    \
+  NRFF_MULTIVERSION void SumForwardOf(const GridLayout& layout, const Scalar* parameters, const Scalar* points,        \
+                                      int64_t n, Scalar* feature) {                                                    \
+    NRFF_GRID_KERNEL(Scalar, SumForward, parameters, points, n, feature);                                              \
+  }                                                                                                                    \
+  NRFF_MULTIVERSION void ConcatBackwardOf(const GridLayout& layout, int row, const Scalar* parameters,                 \
+                                          const Scalar* points, int64_t n, const Scalar* d_features,                   \
+                                          Scalar* d_parameters) {                                                      \
+    NRFF_GRID_KERNEL(Scalar, ConcatBackward, row, parameters, points, n, d_features, d_parameters);                    \
+  }                                                                                                                    \
+  NRFF_MULTIVERSION void SumBackwardOf(const GridLayout& layout, int row, const Scalar* parameters,                    \
+                                       const Scalar* points, int64_t n, const Scalar* d_feature, Scalar* d_parameters) { \
+    NRFF_GRID_KERNEL(Scalar, SumBackward, row, parameters, points, n, d_feature, d_parameters);                        \
   }
-
 NRFF_GRID_KERNELS(float)
 NRFF_GRID_KERNELS(double)
 #undef NRFF_GRID_KERNELS
+#undef NRFF_GRID_KERNEL
 // NOLINTEND(bugprone-macro-parentheses)
-
-// Calls work(begin, end) for blocks of points, in parallel.
-template <typename Work>
-void ForEachBlock(int64_t n, const Work& work) {
-  const int64_t n_blocks = (n + kBlock - 1) / kBlock;
-#pragma omp parallel for schedule(static)
-  for (int64_t block = 0; block < n_blocks; ++block) work(block * kBlock, std::min(n, (block + 1) * kBlock));
-}
-
-// Calls work(level, product) for all, in parallel: each owns its part of the gradient. Fine levels, which are slowest,
-// come first.
-template <typename Work>
-void ForEachProduct(const GridLayout& layout, const Work& work) {
-  const int n_tasks = int(layout.levels.size()) * 3;
-#pragma omp parallel for schedule(dynamic)
-  for (int task = n_tasks - 1; task >= 0; --task) work(task / 3, task % 3);
-}
 
 }  // namespace
 
 template <typename Scalar>
 void GridConcatForward(const GridLayout& layout, const Scalar* parameters, const Scalar* points, int64_t n,
                        Scalar* features) {
-  ForEachBlock(
-      n, [&](int64_t begin, int64_t end) { ConcatForwardBlock(layout, parameters, points, begin, end, features); });
+  ConcatForwardOf(layout, parameters, points, n, features);
 }
 
 template <typename Scalar>
-void GridConcatBackward(const GridLayout& layout, const Scalar* parameters, const Scalar* points, int64_t n,
-                        const Scalar* d_features, Scalar* d_parameters) {
-  ForEachProduct(layout, [&](int l, int p) {
-    ConcatBackwardProduct(layout, l, p, parameters, points, n, d_features, d_parameters);
-  });
+void GridConcatBackward(const GridLayout& layout, int product, const Scalar* parameters, const Scalar* points,
+                        int64_t n, const Scalar* d_features, Scalar* d_parameters) {
+  ConcatBackwardOf(layout, product, parameters, points, n, d_features, d_parameters);
 }
 
 template <typename Scalar>
 void GridSumForward(const GridLayout& layout, const Scalar* parameters, const Scalar* points, int64_t n,
                     Scalar* feature) {
-  ForEachBlock(n,
-               [&](int64_t begin, int64_t end) { SumForwardBlock(layout, parameters, points, begin, end, feature); });
+  SumForwardOf(layout, parameters, points, n, feature);
 }
 
 template <typename Scalar>
-void GridSumBackward(const GridLayout& layout, const Scalar* parameters, const Scalar* points, int64_t n,
+void GridSumBackward(const GridLayout& layout, int product, const Scalar* parameters, const Scalar* points, int64_t n,
                      const Scalar* d_feature, Scalar* d_parameters) {
-  ForEachProduct(
-      layout, [&](int l, int p) { SumBackwardProduct(layout, l, p, parameters, points, n, d_feature, d_parameters); });
+  SumBackwardOf(layout, product, parameters, points, n, d_feature, d_parameters);
 }
 
 template void GridConcatForward(const GridLayout&, const float*, const float*, int64_t, float*);
 template void GridConcatForward(const GridLayout&, const double*, const double*, int64_t, double*);
-template void GridConcatBackward(const GridLayout&, const float*, const float*, int64_t, const float*, float*);
-template void GridConcatBackward(const GridLayout&, const double*, const double*, int64_t, const double*, double*);
+template void GridConcatBackward(const GridLayout&, int, const float*, const float*, int64_t, const float*, float*);
+template void GridConcatBackward(const GridLayout&, int, const double*, const double*, int64_t, const double*,
+                                 double*);
 template void GridSumForward(const GridLayout&, const float*, const float*, int64_t, float*);
 template void GridSumForward(const GridLayout&, const double*, const double*, int64_t, double*);
-template void GridSumBackward(const GridLayout&, const float*, const float*, int64_t, const float*, float*);
-template void GridSumBackward(const GridLayout&, const double*, const double*, int64_t, const double*, double*);
+template void GridSumBackward(const GridLayout&, int, const float*, const float*, int64_t, const float*, float*);
+template void GridSumBackward(const GridLayout&, int, const double*, const double*, int64_t, const double*, double*);
 
 }  // namespace nrff

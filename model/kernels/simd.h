@@ -6,6 +6,13 @@
 #pragma once
 
 #define NRFF_INLINE inline __attribute__((always_inline))
+#define NRFF_LAMBDA_INLINE __attribute__((always_inline))
+
+// Where blocking depends on the width of vectors, functions are compiled per level by hand instead: NRFF_CPU_LEVELS says
+// that __builtin_cpu_supports and target attributes can be used.
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
+#define NRFF_CPU_LEVELS
+#endif
 
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && !defined(__SANITIZE_ADDRESS__)
 #define NRFF_MULTIVERSION __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))

@@ -1,0 +1,112 @@
+// The networks of NRFF on a tile of samples, forward and backward: spatial network, rendering equation encoding,
+// directional network, colour (model/nrff_field.h has the formulae). float, one thread, no allocation after Reserve.
+//
+// A tile keeps a feature's values of all its samples side by side, in rows of `stride` floats: every operation runs
+// over samples in vectors, whatever the widths of the networks. All of a tile's rows together should stay in the
+// second-level cache.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "model/kernels/ree.h"
+
+namespace nrff {
+
+enum class Activation { kGelu, kRelu };  // GELU by erf, as the authors' code; the paper says ReLU
+
+// Weight [n_out, n_in] row by row, bias [n_out].
+struct LinearLayer {
+  int n_in = 0, n_out = 0;
+  const float* weight = nullptr;
+  const float* bias = nullptr;
+};
+
+struct ShadingNetworks {
+  std::vector<LinearLayer> spatial, directional;
+  LinearLayer lobe_layer;  // shared by the rows of lobes
+  Lobes lobes;
+  int bottleneck_width = 0;
+  Activation activation = Activation::kRelu;
+};
+
+// Sums of a thread's gradients of all layers' weights and biases. Rows of weights are padded.
+class ShadingGradients {
+ public:
+  ShadingGradients() = default;
+  explicit ShadingGradients(const ShadingNetworks& networks);
+
+  struct Layer {
+    float* weight = nullptr;  // [n_out][stride]
+    int64_t stride = 0;
+    float* bias = nullptr;  // [n_out]
+  };
+  // Spatial layers, the lobe layer, directional layers: the order of NrffField's parameters.
+  const std::vector<Layer>& layers() const { return layers_; }
+  void Clear();
+
+ private:
+  std::vector<float> values_;
+  std::vector<Layer> layers_;
+};
+
+class ShadingTile {
+ public:
+  static constexpr int64_t kSamplesMultiple = 16;
+
+  explicit ShadingTile(const ShadingNetworks& networks);
+
+  // Room for so many samples.
+  void Reserve(int64_t n_samples);
+  int64_t stride() const { return stride_; }
+
+  // Inputs of Forward, of n samples; rows up to the next multiple of kSamplesMultiple must hold finite numbers.
+  float* features() { return Row(features_); }           // rows: the appearance grid's features
+  float* ray_directions() { return Row(directions_); }   // 3 rows, unit
+  // Outputs of Forward.
+  const float* rgb() const { return Row(rgb_); }         // 3 rows
+  const float* normals() const { return Row(normal_); }  // 3 rows
+
+  void Forward(const ShadingNetworks& networks, int64_t n);
+
+  // Inputs of Backward, zero beyond n; it overwrites them.
+  float* d_rgb() { return Row(d_rgb_); }
+  float* d_normals() { return Row(d_normal_); }
+  // Output of Backward, rows as features.
+  const float* d_features() const { return Row(d_features_); }
+
+  // After Forward on the same tile. Accumulates into gradients.
+  void Backward(const ShadingNetworks& networks, int64_t n, const ShadingGradients& gradients);
+
+ private:
+  struct Hidden {
+    int before, after;  // first rows, before and after the activation
+  };
+
+  int AddRows(int n);
+  float* Row(int row) { return values_.data() + offset_ + row * stride_; }
+  const float* Row(int row) const { return values_.data() + offset_ + row * stride_; }
+
+  void ForwardNetwork(const std::vector<LinearLayer>& layers, const std::vector<Hidden>& hidden, int input, int output,
+                      Activation activation, int64_t n);
+  // d_output → d_input, by way of the rows scratch_[0] and scratch_[1].
+  void BackwardNetwork(const std::vector<LinearLayer>& layers, const std::vector<Hidden>& hidden, int input,
+                       int d_output, int d_input, Activation activation, int64_t n,
+                       std::span<const ShadingGradients::Layer> gradients);
+  void BackwardLayer(const LinearLayer& layer, int input, int d_output, int d_input, int64_t n,
+                     const ShadingGradients::Layer& gradient);
+
+  int n_rows_ = 0;
+  int64_t stride_ = 0, offset_ = 0;
+  std::vector<float> values_, transposed_;
+  int widest_ = 0;
+  // First rows of what the tile keeps.
+  int features_, directions_, spatial_out_, normal_, inverse_norm_, cosine_, reflected_, lobe_raw_, directional_in_,
+      specular_, rgb_;
+  int d_rgb_, d_normal_, d_features_, d_spatial_out_, d_reflected_, d_lobe_raw_, d_directional_in_, d_specular_;
+  int scratch_[2];
+  std::vector<Hidden> spatial_hidden_, directional_hidden_;
+};
+
+}  // namespace nrff

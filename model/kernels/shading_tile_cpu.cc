@@ -1,0 +1,374 @@
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "model/kernels/fast_math.h"
+#include "model/kernels/shading_tile.h"
+#include "model/kernels/simd.h"
+#include "model/kernels/tile_gemm.h"
+
+namespace nrff {
+namespace {
+
+// Rows are distinct: a sample's values depend on no other sample's.
+#define NRFF_ROWS_DISTINCT _Pragma("GCC ivdep")
+
+constexpr int kDiffuse = 0, kTint = 3, kNormal = 6, kBottleneck = 9;  // rows of the spatial network's output
+constexpr int64_t kLine = 16;                                         // floats
+
+int64_t RoundUp(int64_t n, int64_t multiple) { return (n + multiple - 1) / multiple * multiple; }
+
+// Row length of transposed inputs and of weight gradients.
+int64_t PaddedInputs(int n_in) { return RoundUp(n_in, kGemmColumns); }
+
+NRFF_MULTIVERSION void Activate(Activation activation, const float* before, int64_t n, float* after) {
+  if (activation == Activation::kRelu) {
+    NRFF_ROWS_DISTINCT
+    for (int64_t s = 0; s < n; ++s) after[s] = before[s] > 0 ? before[s] : 0.F;
+  } else {
+    NRFF_ROWS_DISTINCT
+    for (int64_t s = 0; s < n; ++s) after[s] = before[s] * FastNormalCdf(before[s]);
+  }
+}
+
+// d ← d · activation'(before)
+NRFF_MULTIVERSION void ActivateBackward(Activation activation, const float* before, int64_t n, float* d) {
+  if (activation == Activation::kRelu) {
+    NRFF_ROWS_DISTINCT
+    for (int64_t s = 0; s < n; ++s) d[s] = before[s] > 0 ? d[s] : 0.F;
+  } else {
+    constexpr float kInverseRoot2Pi = 0.398942280F;
+    NRFF_ROWS_DISTINCT
+  for (int64_t s = 0; s < n; ++s) {
+      const float x = before[s];
+      d[s] *= FastNormalCdf(x) + x * kInverseRoot2Pi * FastExp(-0.5F * x * x);
+    }
+  }
+}
+
+NRFF_MULTIVERSION void SumRow(const float* row, int64_t n, float* sum) {
+  float partial[kLine] = {};  // lanes, so that the order is fixed
+  for (int64_t s = 0; s < n; s += kLine) {
+    for (int64_t l = 0; l < kLine; ++l) partial[l] += row[s + l];
+  }
+  for (int64_t l = 0; l < kLine; ++l) *sum += partial[l];
+}
+
+// n = −raw/|raw|, c = −d·n, o = 2 c n + d; rows `stride` apart.
+NRFF_MULTIVERSION void Reflect(const float* raw, const float* direction, int64_t n, int64_t stride, float* normal,
+                               float* inverse_norm, float* cosine, float* reflected) {
+  NRFF_ROWS_DISTINCT
+  for (int64_t s = 0; s < n; ++s) {
+    const float x = raw[s], y = raw[stride + s], z = raw[2 * stride + s];
+    const float norm = std::sqrt(x * x + y * y + z * z);
+    const float inverse = 1 / (norm > 1e-12F ? norm : 1e-12F);
+    const float nx = -x * inverse, ny = -y * inverse, nz = -z * inverse;
+    const float dx = direction[s], dy = direction[stride + s], dz = direction[2 * stride + s];
+    const float c = -(dx * nx + dy * ny + dz * nz);
+    inverse_norm[s] = inverse;
+    normal[s] = nx;
+    normal[stride + s] = ny;
+    normal[2 * stride + s] = nz;
+    cosine[s] = c;
+    reflected[s] = 2 * c * nx + dx;
+    reflected[stride + s] = 2 * c * ny + dy;
+    reflected[2 * stride + s] = 2 * c * nz + dz;
+  }
+}
+
+// d_normal is what arrives at the normals from elsewhere.
+NRFF_MULTIVERSION void ReflectBackward(const float* normal, const float* inverse_norm, const float* cosine,
+                                       const float* direction, const float* d_cosine, const float* d_reflected,
+                                       const float* d_normal, int64_t n, int64_t stride, float* d_raw) {
+  NRFF_ROWS_DISTINCT
+  for (int64_t s = 0; s < n; ++s) {
+    const float nx = normal[s], ny = normal[stride + s], nz = normal[2 * stride + s];
+    const float ox = d_reflected[s], oy = d_reflected[stride + s], oz = d_reflected[2 * stride + s];
+    const float c = cosine[s], d_c = d_cosine[s] + 2 * (ox * nx + oy * ny + oz * nz);
+    const float gx = d_normal[s] + 2 * c * ox - d_c * direction[s];
+    const float gy = d_normal[stride + s] + 2 * c * oy - d_c * direction[stride + s];
+    const float gz = d_normal[2 * stride + s] + 2 * c * oz - d_c * direction[2 * stride + s];
+    const float along = gx * nx + gy * ny + gz * nz;
+    const float inverse = inverse_norm[s];
+    d_raw[s] = (along * nx - gx) * inverse;
+    d_raw[stride + s] = (along * ny - gy) * inverse;
+    d_raw[2 * stride + s] = (along * nz - gz) * inverse;
+  }
+}
+
+// One lobe: o·axis, o·axis_λ and o·axis_μ.
+struct Lobe {
+  float sin_theta, cos_theta, sin_phi, cos_phi;
+  Lobe(const Lobes& lobes, int k)
+      : sin_theta(float(lobes.sin_theta[k])),
+        cos_theta(float(lobes.cos_theta[k])),
+        sin_phi(float(lobes.sin_phi[k])),
+        cos_phi(float(lobes.cos_phi[k])) {}
+  NRFF_INLINE void Project(float x, float y, float z, float& along, float& lambda, float& mu) const {
+    const float across = x * cos_phi + y * sin_phi;
+    along = across * sin_theta + z * cos_theta;
+    lambda = across * cos_theta - z * sin_theta;
+    mu = y * cos_phi - x * sin_phi;
+  }
+};
+
+NRFF_MULTIVERSION void EncodeLobe(const Lobe& lobe, const float* o, const float* raw, int64_t n, int64_t stride,
+                                  float* encoding) {
+  NRFF_ROWS_DISTINCT
+  for (int64_t s = 0; s < n; ++s) {
+    float along, at_lambda, at_mu, lambda, mu, unused;
+    lobe.Project(o[s], o[stride + s], o[2 * stride + s], along, at_lambda, at_mu);
+    FastSoftplus(raw[2 * stride + s] - 1, lambda, unused);
+    FastSoftplus(raw[3 * stride + s] - 1, mu, unused);
+    const float response = (along > 0 ? along : 0.F) * FastExp(-lambda * at_lambda * at_lambda - mu * at_mu * at_mu);
+    encoding[s] = raw[s] * response;
+    encoding[stride + s] = raw[stride + s] * response;
+  }
+}
+
+// d_o accumulates.
+NRFF_MULTIVERSION void EncodeLobeBackward(const Lobe& lobe, const float* o, const float* raw, const float* d_encoding,
+                                          int64_t n, int64_t stride, float* d_o, float* d_raw) {
+  NRFF_ROWS_DISTINCT
+  for (int64_t s = 0; s < n; ++s) {
+    float along, at_lambda, at_mu, lambda, mu, d_softplus_lambda, d_softplus_mu;
+    lobe.Project(o[s], o[stride + s], o[2 * stride + s], along, at_lambda, at_mu);
+    FastSoftplus(raw[2 * stride + s] - 1, lambda, d_softplus_lambda);
+    FastSoftplus(raw[3 * stride + s] - 1, mu, d_softplus_mu);
+    const float gaussian = FastExp(-lambda * at_lambda * at_lambda - mu * at_mu * at_mu);
+    const float response = (along > 0 ? along : 0.F) * gaussian;
+    const float d_response = d_encoding[s] * raw[s] + d_encoding[stride + s] * raw[stride + s];
+    const float d_exponent = d_response * response;
+    d_raw[s] = d_encoding[s] * response;
+    d_raw[stride + s] = d_encoding[stride + s] * response;
+    d_raw[2 * stride + s] = -d_exponent * at_lambda * at_lambda * d_softplus_lambda;
+    d_raw[3 * stride + s] = -d_exponent * at_mu * at_mu * d_softplus_mu;
+    const float d_along = along > 0 ? d_response * gaussian : 0.F;
+    const float d_lambda = -2 * d_exponent * lambda * at_lambda;
+    const float d_mu = -2 * d_exponent * mu * at_mu;
+    const float d_across = d_along * lobe.sin_theta + d_lambda * lobe.cos_theta;
+    d_o[s] += d_across * lobe.cos_phi - d_mu * lobe.sin_phi;
+    d_o[stride + s] += d_across * lobe.sin_phi + d_mu * lobe.cos_phi;
+    d_o[2 * stride + s] += d_along * lobe.cos_theta - d_lambda * lobe.sin_theta;
+  }
+}
+
+// rgb = sigmoid(diffuse + tint ⊙ specular), row by row.
+NRFF_MULTIVERSION void Colour(const float* diffuse, const float* tint, const float* specular, int64_t n, float* rgb) {
+  NRFF_ROWS_DISTINCT
+  for (int64_t s = 0; s < n; ++s) {
+    const float x = diffuse[s] + tint[s] * specular[s];
+    const float e = FastExp(x > 0 ? -x : x);
+    rgb[s] = (x > 0 ? 1.F : e) / (1 + e);
+  }
+}
+
+NRFF_MULTIVERSION void ColourBackward(const float* tint, const float* specular, const float* rgb, const float* d_rgb,
+                                      int64_t n, float* d_diffuse, float* d_tint, float* d_specular) {
+  NRFF_ROWS_DISTINCT
+  for (int64_t s = 0; s < n; ++s) {
+    const float d = d_rgb[s] * rgb[s] * (1 - rgb[s]);
+    d_diffuse[s] = d;
+    d_tint[s] = d * specular[s];
+    d_specular[s] = d * tint[s];
+  }
+}
+
+void ForwardLayer(const LinearLayer& layer, const float* input, int64_t n, int64_t stride, float* output) {
+  TileGemm({.m = layer.n_out,
+            .n = n,
+            .k = layer.n_in,
+            .a = layer.weight,
+            .a_row = layer.n_in,
+            .a_column = 1,
+            .b = input,
+            .b_row = stride,
+            .c = output,
+            .c_row = stride,
+            .start = GemmStart::kBias,
+            .bias = layer.bias});
+}
+
+}  // namespace
+
+ShadingGradients::ShadingGradients(const ShadingNetworks& networks) {
+  std::vector<LinearLayer> layers = networks.spatial;
+  layers.push_back(networks.lobe_layer);
+  layers.insert(layers.end(), networks.directional.begin(), networks.directional.end());
+  int64_t n = 0;
+  for (const LinearLayer& layer : layers) n += layer.n_out * (PaddedInputs(layer.n_in) + 1);
+  values_.assign(n, 0.F);
+  float* next = values_.data();
+  for (const LinearLayer& layer : layers) {
+    const int64_t stride = PaddedInputs(layer.n_in);
+    layers_.push_back({next, stride, next + layer.n_out * stride});
+    next += layer.n_out * (stride + 1);
+  }
+}
+
+void ShadingGradients::Clear() { std::fill(values_.begin(), values_.end(), 0.F); }
+
+ShadingTile::ShadingTile(const ShadingNetworks& networks) {
+  const int n_directional_in = networks.directional.front().n_in, n_lobes = networks.lobes.size();
+  const auto add_hidden = [this](const std::vector<LinearLayer>& layers, std::vector<Hidden>& hidden) {
+    for (const LinearLayer& layer : layers) {
+      widest_ = std::max({widest_, layer.n_in, layer.n_out});
+      if (&layer == &layers.back()) break;
+      const int before = AddRows(layer.n_out);
+      hidden.push_back({before, AddRows(layer.n_out)});
+    }
+  };
+  features_ = AddRows(networks.spatial.front().n_in);
+  directions_ = AddRows(3);
+  add_hidden(networks.spatial, spatial_hidden_);
+  spatial_out_ = AddRows(networks.spatial.back().n_out);
+  normal_ = AddRows(3);
+  inverse_norm_ = AddRows(1);
+  reflected_ = AddRows(3);
+  lobe_raw_ = AddRows(n_lobes * kLobeParameters);
+  directional_in_ = AddRows(n_directional_in);
+  cosine_ = directional_in_ + n_directional_in - 1;
+  add_hidden(networks.directional, directional_hidden_);
+  specular_ = AddRows(3);
+  rgb_ = AddRows(3);
+  d_rgb_ = AddRows(3);
+  d_normal_ = AddRows(3);
+  d_features_ = AddRows(networks.spatial.front().n_in);
+  d_spatial_out_ = AddRows(networks.spatial.back().n_out);
+  d_reflected_ = AddRows(3);
+  d_lobe_raw_ = AddRows(n_lobes * kLobeParameters);
+  d_directional_in_ = AddRows(n_directional_in);
+  d_specular_ = AddRows(3);
+  for (int& scratch : scratch_) scratch = AddRows(widest_);
+}
+
+// Row counts are multiples of 4, for TileTranspose.
+int ShadingTile::AddRows(int n) {
+  const int first = n_rows_;
+  n_rows_ += int(RoundUp(n, 4));
+  return first;
+}
+
+void ShadingTile::Reserve(int64_t n_samples) {
+  // Not a multiple of a power of two, so that a column of the tile does not fall into few sets of the cache.
+  const int64_t stride = RoundUp(n_samples, 2 * kLine) + kLine;
+  if (stride <= stride_) return;
+  stride_ = stride;
+  values_.assign(n_rows_ * stride + kLine, 0.F);
+  offset_ = int64_t((64 - reinterpret_cast<uintptr_t>(values_.data()) % 64) % 64 / sizeof(float));
+  transposed_.assign(stride * (PaddedInputs(widest_) + kLine), 0.F);
+}
+
+void ShadingTile::ForwardNetwork(const std::vector<LinearLayer>& layers, const std::vector<Hidden>& hidden, int input,
+                                 int output, Activation activation, int64_t n) {
+  for (size_t i = 0; i < layers.size(); ++i) {
+    const bool last = i + 1 == layers.size();
+    float* before = Row(last ? output : hidden[i].before);
+    ForwardLayer(layers[i], Row(i == 0 ? input : hidden[i - 1].after), n, stride_, before);
+    if (last) break;
+    float* after = Row(hidden[i].after);
+    for (int r = 0; r < layers[i].n_out; ++r) Activate(activation, before + r * stride_, n, after + r * stride_);
+  }
+}
+
+void ShadingTile::Forward(const ShadingNetworks& networks, int64_t n_samples) {
+  const int64_t n = RoundUp(n_samples, kSamplesMultiple);
+  ForwardNetwork(networks.spatial, spatial_hidden_, features_, spatial_out_, networks.activation, n);
+  const float* out = Row(spatial_out_);
+  Reflect(out + kNormal * stride_, Row(directions_), n, stride_, Row(normal_), Row(inverse_norm_), Row(cosine_),
+          Row(reflected_));
+  const int bottleneck = networks.bottleneck_width;
+  for (int r = 0; r < bottleneck; ++r) {
+    std::memcpy(Row(directional_in_ + r), out + (kBottleneck + r) * stride_, n * sizeof(float));
+  }
+  const LinearLayer& lobe_layer = networks.lobe_layer;
+  for (int row = 0; row < networks.lobes.n_theta; ++row) {
+    ForwardLayer(lobe_layer, out + (kBottleneck + bottleneck + row * lobe_layer.n_in) * stride_, n, stride_,
+                 Row(lobe_raw_ + row * lobe_layer.n_out));
+  }
+  for (int k = 0; k < networks.lobes.size(); ++k) {
+    EncodeLobe(Lobe(networks.lobes, k), Row(reflected_), Row(lobe_raw_ + k * kLobeParameters), n, stride_,
+               Row(directional_in_ + bottleneck + k * kLobeAmplitudes));
+  }
+  ForwardNetwork(networks.directional, directional_hidden_, directional_in_, specular_, networks.activation, n);
+  for (int c = 0; c < 3; ++c) {
+    Colour(out + (kDiffuse + c) * stride_, out + (kTint + c) * stride_, Row(specular_ + c), n, Row(rgb_ + c));
+  }
+}
+
+void ShadingTile::BackwardLayer(const LinearLayer& layer, int input, int d_output, int d_input, int64_t n,
+                                const ShadingGradients::Layer& gradient) {
+  const int64_t padded = PaddedInputs(layer.n_in);
+  const int64_t row = padded + kLine;
+  TileTranspose(Row(input), stride_, RoundUp(layer.n_in, 4), n, transposed_.data(), row);
+  TileGemm({.m = layer.n_out,
+            .n = padded,
+            .k = n,
+            .a = Row(d_output),
+            .a_row = stride_,
+            .a_column = 1,
+            .b = transposed_.data(),
+            .b_row = row,
+            .c = gradient.weight,
+            .c_row = gradient.stride,
+            .start = GemmStart::kSum});
+  for (int r = 0; r < layer.n_out; ++r) SumRow(Row(d_output + r), n, gradient.bias + r);
+  TileGemm({.m = layer.n_in,
+            .n = n,
+            .k = layer.n_out,
+            .a = layer.weight,
+            .a_row = 1,
+            .a_column = layer.n_in,
+            .b = Row(d_output),
+            .b_row = stride_,
+            .c = Row(d_input),
+            .c_row = stride_});
+}
+
+void ShadingTile::BackwardNetwork(const std::vector<LinearLayer>& layers, const std::vector<Hidden>& hidden, int input,
+                                  int d_output, int d_input, Activation activation, int64_t n,
+                                  std::span<const ShadingGradients::Layer> gradients) {
+  int d = d_output;
+  for (int i = int(layers.size()) - 1; i >= 0; --i) {
+    const int next = i == 0 ? d_input : scratch_[i % 2];
+    BackwardLayer(layers[i], i == 0 ? input : hidden[i - 1].after, d, next, n, gradients[i]);
+    if (i == 0) break;
+    for (int r = 0; r < layers[i].n_in; ++r) ActivateBackward(activation, Row(hidden[i - 1].before + r), n, Row(next + r));
+    d = next;
+  }
+}
+
+void ShadingTile::Backward(const ShadingNetworks& networks, int64_t n_samples, const ShadingGradients& gradients) {
+  const int64_t n = RoundUp(n_samples, kSamplesMultiple);
+  const std::span<const ShadingGradients::Layer> layers(gradients.layers());
+  const size_t n_spatial = networks.spatial.size();
+  for (int c = 0; c < 3; ++c) {
+    ColourBackward(Row(spatial_out_ + kTint + c), Row(specular_ + c), Row(rgb_ + c), Row(d_rgb_ + c), n,
+                   Row(d_spatial_out_ + kDiffuse + c), Row(d_spatial_out_ + kTint + c), Row(d_specular_ + c));
+  }
+  BackwardNetwork(networks.directional, directional_hidden_, directional_in_, d_specular_, d_directional_in_,
+                  networks.activation, n, layers.subspan(n_spatial + 1));
+  const int bottleneck = networks.bottleneck_width;
+  for (int k = 0; k < 3; ++k) std::fill_n(Row(d_reflected_ + k), n, 0.F);
+  for (int k = 0; k < networks.lobes.size(); ++k) {
+    EncodeLobeBackward(Lobe(networks.lobes, k), Row(reflected_), Row(lobe_raw_ + k * kLobeParameters),
+                       Row(d_directional_in_ + bottleneck + k * kLobeAmplitudes), n, stride_, Row(d_reflected_),
+                       Row(d_lobe_raw_ + k * kLobeParameters));
+  }
+  const LinearLayer& lobe_layer = networks.lobe_layer;
+  for (int row = 0; row < networks.lobes.n_theta; ++row) {
+    const int lobe_features = kBottleneck + bottleneck + row * lobe_layer.n_in;
+    BackwardLayer(lobe_layer, spatial_out_ + lobe_features, d_lobe_raw_ + row * lobe_layer.n_out,
+                  d_spatial_out_ + lobe_features, n, layers[n_spatial]);
+  }
+  for (int r = 0; r < bottleneck; ++r) {
+    std::memcpy(Row(d_spatial_out_ + kBottleneck + r), Row(d_directional_in_ + r), n * sizeof(float));
+  }
+  ReflectBackward(Row(normal_), Row(inverse_norm_), Row(cosine_), Row(directions_),
+                  Row(d_directional_in_ + cosine_ - directional_in_), Row(d_reflected_), Row(d_normal_), n, stride_,
+                  Row(d_spatial_out_ + kNormal));
+  BackwardNetwork(networks.spatial, spatial_hidden_, features_, d_spatial_out_, d_features_, networks.activation, n,
+                  layers.first(n_spatial));
+}
+
+}  // namespace nrff

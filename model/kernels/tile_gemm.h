@@ -1,0 +1,31 @@
+// Matrix products of the networks' tiles (network_tile.h): small, in cache, one thread.
+#pragma once
+
+#include <cstdint>
+
+namespace nrff {
+
+// Columns of C and B are worked on in groups of so many.
+inline constexpr int64_t kGemmColumns = 16;
+
+enum class GemmStart { kZero, kBias, kSum };
+
+// C[i][j] = start + Σ_k A(i, k) B[k][j], for i < m, j < n; k in ascending order.
+// start: 0, bias[i], or C[i][j] as it was. n is a multiple of kGemmColumns.
+struct GemmArgs {
+  int64_t m = 0, n = 0, k = 0;
+  const float* a = nullptr;  // A(i, k) = a[i · a_row + k · a_column]
+  int64_t a_row = 0, a_column = 0;
+  const float* b = nullptr;  // B[k][j] = b[k · b_row + j]
+  int64_t b_row = 0;
+  float* c = nullptr;  // C[i][j] = c[i · c_row + j]; overlaps neither a nor b
+  int64_t c_row = 0;
+  GemmStart start = GemmStart::kZero;
+  const float* bias = nullptr;
+};
+void TileGemm(const GemmArgs& args);
+
+// to[j][i] = from[i][j] for i < rows, j < columns, multiples of 4.
+void TileTranspose(const float* from, int64_t from_row, int64_t rows, int64_t columns, float* to, int64_t to_row);
+
+}  // namespace nrff

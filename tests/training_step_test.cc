@@ -1,0 +1,146 @@
+// The training step's hand-written backward pass against autograd in double: the same samples, the same losses, all
+// gradients.
+
+#include <ATen/ATen.h>
+#include <gtest/gtest.h>
+#include <omp.h>
+
+#include <optional>
+#include <ostream>
+
+#include "model/losses.h"
+#include "model/training_step.h"
+#include "render/compute.h"
+
+namespace nrff {
+namespace {
+
+using torch::Tensor;
+
+struct Case {
+  const char* name;
+  bool unbounded;
+  Activation activation;
+  LossWeights weights;
+  double stop = 1e-4, threshold = 1e-4;
+  int n_depths = 0;
+};
+
+void PrintTo(const Case& c, std::ostream* out) { *out << c.name; }
+
+FieldConfig SmallField(const Case& c) {
+  FieldConfig config;
+  config.levels = 3;
+  config.base_resolution = 6;
+  config.max_resolution = 20;
+  config.appearance_line_mean = 1;
+  config.density_shift = -1;
+  config.density_scale = c.unbounded ? 12 : 6;
+  config.spatial_width = 24;
+  config.spatial_layers = 3;
+  config.bottleneck_width = 10;
+  config.lobes_theta = 3;
+  config.lobes_phi = 5;
+  config.lobe_row_width = 7;
+  config.directional_layers = 3;
+  config.directional_width = 20;
+  config.activation = c.activation;
+  return config;
+}
+
+Rays Aimed(int64_t n, int seed) {
+  at::manual_seed(seed);
+  const Tensor origins = at::randn({n, 3}, torch::kFloat);
+  const Tensor from = 2.5 * origins / origins.norm(2, {1}, true);
+  const Tensor towards = 0.8 * (2 * at::rand({n, 3}, torch::kFloat) - 1) - from;
+  return {from.contiguous(), (towards / towards.norm(2, {1}, true)).contiguous()};
+}
+
+Samples InDouble(Samples samples) {
+  for (Tensor* tensor : {&samples.t, &samples.delta, &samples.points}) *tensor = tensor->to(torch::kDouble);
+  return samples;
+}
+
+class TrainingStepTest : public ::testing::TestWithParam<Case> {};
+
+TEST_P(TrainingStepTest, HasAutogradsGradientsInDouble) {
+  const Case& c = GetParam();
+  const FieldConfig config = SmallField(c);
+  const NrffField field(config, torch::kFloat, 3), exact(config, torch::kDouble, 3);
+  const SceneMap map = SceneMap::FromBox({-1, -1.1, -0.9}, {1, 0.9, 1}, c.unbounded);
+  const OccupancyGrid occupancy(32);
+  RenderOptions options;
+  options.step = 0.05;
+  options.near = 0.1;
+  options.far = 6;
+  options.stop_transmittance = c.stop;
+  options.weight_threshold = c.threshold;
+  options.background = 0.4;
+  options.jitter = {7, 5};
+  const PixelSource::Batch batch{Aimed(300, 1), at::rand({300, 3}, torch::kFloat)};
+  std::optional<DepthSource::Batch> depths;
+  if (c.n_depths > 0) {
+    depths = DepthSource::Batch{Aimed(c.n_depths, 2), 2 + at::rand({c.n_depths}, torch::kFloat),
+                                0.2 + at::rand({c.n_depths}, torch::kFloat)};
+  }
+
+  TrainingStep step(field);
+  step.Run(batch, nullptr, occupancy, map, options, {});  // leftovers of another step must not matter
+  const TrainingStep::Result result =
+      step.Run(batch, depths ? &*depths : nullptr, occupancy, map, options, c.weights);
+
+  const auto in_double = [](const Rays& rays) {
+    return Rays{rays.origins.to(torch::kDouble), rays.directions.to(torch::kDouble)};
+  };
+  const RenderResult rendered =
+      RenderSamples(exact, InDouble(MarchRays(occupancy, map, batch.rays, options)), in_double(batch.rays), options);
+  // The sparsity loss sees what lies before the stop.
+  const Tensor seen = rendered.weights > 0;
+  const Tensor mse = MseLoss(rendered.rgb, batch.target.to(torch::kDouble));
+  const Tensor orientation =
+      OrientationLoss(rendered.shaded_weights, rendered.shaded_normals, rendered.shaded_directions);
+  const Tensor sparsity = SparsityLoss(rendered.sigma.index({seen}), rendered.delta.index({seen}), 300);
+  Tensor loss = mse + c.weights.orientation * orientation + c.weights.density_l1 * exact.DensityL1() +
+                c.weights.sparsity * sparsity;
+  if (depths) {
+    RenderOptions depth_options = options;
+    depth_options.jitter_purpose = RandomStream::kDepthJitter;
+    const Samples samples = InDouble(MarchRays(occupancy, map, depths->rays, depth_options));
+    const Visibility visibility = MeasureVisibility(exact, samples, options.stop_transmittance);
+    const Tensor depth = DepthLoss(visibility.weights, samples.t, samples.ray_index,
+                                   depths->distance.to(torch::kDouble), depths->spread.to(torch::kDouble));
+    EXPECT_NEAR(result.depth, depth.item<double>(), 1e-5);
+    loss = loss + c.weights.depth * depth;
+  }
+  loss.backward();
+
+  EXPECT_EQ(result.n_shaded, rendered.n_shaded);
+  EXPECT_GT(result.n_shaded, 1000);
+  EXPECT_NEAR(result.mse, mse.item<double>(), 1e-6);
+  EXPECT_NEAR(result.orientation, orientation.item<double>(), 1e-6);
+  for (size_t i = 0; i < field.parameters().size(); ++i) {
+    const Tensor expected = exact.parameters()[i].value.grad();
+    const Tensor difference = step.gradients()[i].to(torch::kDouble) - expected;
+    const double largest = expected.abs().max().item<double>();
+    EXPECT_LT(difference.abs().max().item<double>(), 3e-5 * largest) << field.parameters()[i].name << " " << largest;
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Model, TrainingStepTest,
+    ::testing::Values(Case{"ColourAlone", false, Activation::kRelu, {}},
+                      Case{"Paper", false, Activation::kGelu, {.orientation = 0.3, .density_l1 = 8e-5}},
+                      Case{"Sparsity", false, Activation::kRelu, {.sparsity = 0.1}},
+                      Case{"StopsEarly", false, Activation::kRelu, {.orientation = 0.3}, 0.02, 0.02},
+                      Case{"NothingStops", false, Activation::kGelu, {.orientation = 0.3}, 0, 1e-6},
+                      Case{"UnboundedWithDepths",
+                           true,
+                           Activation::kRelu,
+                           {.orientation = 0.3, .sparsity = 1e-3, .depth = 0.1},
+                           0.01,
+                           0.01,
+                           100}),
+    [](const auto& info) { return info.param.name; });
+
+}  // namespace
+}  // namespace nrff
