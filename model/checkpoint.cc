@@ -37,7 +37,7 @@ void ForEachNumber(State& state, const Visit& visit) {
   visit("step_stage", state.step_stage);
   visit("occupancy_updates", state.occupancy_updates);
   visit("occupancy_moments_done", state.occupancy_moments_done);
-  visit("shrunk", state.shrunk);
+  visit("shrink_moments_done", state.shrink_moments_done);
   visit("n_skipped", state.n_skipped);
   visit("n_skipped_in_row", state.n_skipped_in_row);
   visit("train_mse", state.train_mse);

@@ -37,7 +37,7 @@ NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(TrainConfig, steps, rays, max_rays, target_sh
                                    density_l1_weight, density_l1_weight_later, sparsity_weight, depth_weight,
                                    depth_rays, step_voxels, step_moments, step_ratio, occupancy_resolution,
                                    occupancy_moments, occupancy_interval, occupancy_cells, occupancy_threshold,
-                                   occupancy_decay, occupancy_dilate, occupancy_min_views, shrink_moment,
+                                   occupancy_decay, occupancy_dilate, occupancy_min_views, shrink_moments,
                                    weight_threshold_first, weight_threshold_last, weight_threshold_moment,
                                    unknown_background)
 
@@ -84,7 +84,7 @@ void CheckConfig(const TrainConfig& config) {
   check(config.step_ratio > 0 && config.step_voxels.size() == config.step_moments.size() + 1,
         "step_voxels has one entry more than step_moments");
   for (const int voxels : config.step_voxels) check(voxels > 0, "step_voxels must be positive");
-  for (const auto& moments : {config.step_moments, config.occupancy_moments})
+  for (const auto& moments : {config.step_moments, config.occupancy_moments, config.shrink_moments})
     check(std::is_sorted(moments.begin(), moments.end()), "moments must ascend");
   check(config.occupancy_resolution > 0 && config.occupancy_resolution <= 1024 && config.occupancy_resolution % 8 == 0,
         "occupancy_resolution is a multiple of 8 up to 1024");
@@ -196,7 +196,7 @@ Preset SmallPreset(bool unbounded) {
   train.occupancy_decay = 0.6;
   train.occupancy_dilate = false;
   train.occupancy_min_views = 1;
-  train.shrink_moment = 0.1;
+  train.shrink_moments = {0.1, 0.2};
   train.weight_threshold_first = unbounded ? 0.01 : 4e-3;
   train.weight_threshold_last = unbounded ? 0.01 : 1e-3;
   train.weight_threshold_moment = 0.5;
@@ -215,7 +215,7 @@ Preset TinyPreset(bool unbounded) {
   preset.train.target_shaded = 2048;
   preset.train.step_voxels = unbounded ? std::vector{32, 64, 128} : std::vector{16, 32, 64};
   preset.train.step_moments = {0.1, 0.2};
-  preset.train.shrink_moment = 0.3;
+  preset.train.shrink_moments = {0.3};
   preset.train.occupancy_resolution = 64;
   preset.train.occupancy_cells = 1 << 15;
   return preset;

@@ -52,7 +52,7 @@ struct TrainConfig {
 
   double orientation_weight = 0.3;
   double density_l1_weight = 8e-5;        // losses.h
-  double density_l1_weight_later = 4e-5;  // from shrink_moment on
+  double density_l1_weight_later = 4e-5;  // from the first of shrink_moments on
   double sparsity_weight = 0;             // losses.h
   double depth_weight = 0;                // losses.h, on depth_rays rays through sparse points per step
   int depth_rays = 64;
@@ -73,7 +73,7 @@ struct TrainConfig {
   double occupancy_decay = 0;
   bool occupancy_dilate = true;
   int occupancy_min_views = 0;     // unbounded scenes: cells seen by fewer training views are empty
-  double shrink_moment = 2. / 30;  // when the box of a bounded scene shrinks to what is occupied; 0: never
+  std::vector<double> shrink_moments = {2. / 30};  // when the box of a bounded scene shrinks to what is occupied
 
   // Samples of less weight are not shaded. The threshold falls log-linearly until weight_threshold_moment; its last
   // value is also that of the trained model, which has learnt to show the scene without those samples.

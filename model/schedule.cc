@@ -9,9 +9,12 @@ double RateFactor(const TrainConfig& config, double progress, double progress_at
   return std::pow(config.final_rate, progress - progress_at_reset);
 }
 
-int StepStage(const TrainConfig& config, double progress) {
-  const auto& moments = config.step_moments;
+int MomentsBehind(const std::vector<double>& moments, double progress) {
   return int(std::upper_bound(moments.begin(), moments.end(), progress) - moments.begin());
+}
+
+int StepStage(const TrainConfig& config, double progress) {
+  return MomentsBehind(config.step_moments, progress);
 }
 
 double MarchingStep(const TrainConfig& config, int stage, const SceneMap& map) {

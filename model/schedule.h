@@ -1,6 +1,8 @@
 // What changes over a training, as functions of how far it has come.
 #pragma once
 
+#include <vector>
+
 #include "model/config.h"
 #include "render/scene_map.h"
 
@@ -10,6 +12,9 @@ namespace nrff {
 
 // Factor on the learning rates; they last started anew at `progress_at_reset`.
 double RateFactor(const TrainConfig& config, double progress, double progress_at_reset);
+
+// How many of the ascending moments have come.
+int MomentsBehind(const std::vector<double>& moments, double progress);
 
 // Index into config.step_voxels.
 int StepStage(const TrainConfig& config, double progress);

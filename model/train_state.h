@@ -36,7 +36,7 @@ struct TrainState {
   int step_stage = 0;              // index into TrainConfig::step_voxels
   int occupancy_updates = 0;       // also the counter of their random streams
   int occupancy_moments_done = 0;  // of TrainConfig::occupancy_moments
-  bool shrunk = false;
+  int shrink_moments_done = 0;     // of TrainConfig::shrink_moments
   int64_t n_skipped = 0;  // steps left out for a non-finite loss or gradient
   int n_skipped_in_row = 0;
   double train_mse = -1;  // running mean; < 0: none yet

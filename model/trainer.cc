@@ -20,6 +20,7 @@ using torch::Tensor;
 
 constexpr double kMseMemory = 0.98;       // of the running mean of the batches' error
 constexpr double kLeastShrinking = 0.95;  // a box whose volume shrinks less than to this stays as it is
+constexpr double kStray = 1e-3;           // of the occupied cells: less that hangs together does not hold the box open
 constexpr int64_t kFewestRays = 64;
 
 std::vector<View> TrainingViews(const Scene& scene) {
@@ -95,8 +96,7 @@ void Trainer::UpdateOccupancy(bool all_cells) {
 }
 
 void Trainer::Shrink() {
-  state_.shrunk = true;
-  const OccupancyGrid::Box box = state_.occupancy.OccupiedBox();
+  const OccupancyGrid::Box box = state_.occupancy.OccupiedBox(kStray);
   double volume = 1;
   for (int k = 0; k < 3; ++k) volume *= (box.max[k] - box.min[k]) / 2;
   if (volume > kLeastShrinking) return;
@@ -125,13 +125,15 @@ void Trainer::FollowSchedule(double progress) {
       UpdateOccupancy(config.occupancy_cells == 0 || state_.occupancy_updates == 0);
     }
   } else {
-    const auto& moments = config.occupancy_moments;
-    const auto n_due = int(std::upper_bound(moments.begin(), moments.end(), progress) - moments.begin());
+    const int n_due = MomentsBehind(config.occupancy_moments, progress);
     if (state_.occupancy_moments_done < n_due) UpdateOccupancy(/*all_cells=*/true);
     state_.occupancy_moments_done = n_due;
   }
-  const bool may_shrink = !scene_.unbounded && config.shrink_moment > 0 && state_.occupancy_updates > 0;
-  if (may_shrink && !state_.shrunk && progress >= config.shrink_moment) Shrink();
+  if (!scene_.unbounded && state_.occupancy_updates > 0) {
+    const int n_due = MomentsBehind(config.shrink_moments, progress);
+    if (state_.shrink_moments_done < n_due) Shrink();
+    state_.shrink_moments_done = n_due;
+  }
 }
 
 void Trainer::Step() {
@@ -144,8 +146,9 @@ void Trainer::Step() {
   RenderOptions options = EvaluationOptions();
   options.jitter = {options_.seed, uint64_t(state_.step)};
   LossWeights weights{.orientation = config.orientation_weight,
-                      .density_l1 = progress < config.shrink_moment ? config.density_l1_weight
-                                                                    : config.density_l1_weight_later,
+                      .density_l1 = MomentsBehind(config.shrink_moments, progress) == 0
+                                        ? config.density_l1_weight
+                                        : config.density_l1_weight_later,
                       .sparsity = config.sparsity_weight};
   std::optional<DepthSource::Batch> depths;
   if (config.depth_weight > 0 && !depths_.empty()) {

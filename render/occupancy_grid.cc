@@ -132,6 +132,10 @@ std::array<int, 3> OccupancyGrid::CellAt(int64_t index) const {
           block / (n * n) * kOccupancyBlock + (within >> 6)};
 }
 
+int64_t OccupancyGrid::IndexOf(int x, int y, int z) const {
+  return static_cast<int64_t>(bits().BlockOf(x, y, z)) * kCellsPerBlock + (z & 7) * 64 + (y & 7) * 8 + (x & 7);
+}
+
 bool OccupancyGrid::Occupied(int x, int y, int z) const {
   return bits().CellOccupied(bits().BlockOf(x, y, z), x, y, z);
 }
@@ -278,10 +282,40 @@ void OccupancyGrid::MarkSeen(const std::vector<View>& views, const SceneMap& map
   SetBlocks();
 }
 
-OccupancyGrid::Box OccupancyGrid::OccupiedBox() const {
+// The occupied cells in components of at least `stray` of them all.
+std::vector<uint64_t> OccupancyGrid::WithoutStrays(double stray) const {
+  const auto fewest = static_cast<size_t>(std::ceil(stray * static_cast<double>(CountBits(occupied_))));
+  std::vector<uint64_t> left = occupied_, kept(occupied_.size());
+  const auto take = [&left](int64_t i) {
+    const uint64_t bit = uint64_t{1} << (i % 64);
+    const bool there = (left[i / 64] & bit) != 0;
+    left[i / 64] &= ~bit;
+    return there;
+  };
+  std::vector<int64_t> component;
+  for (int64_t seed = 0; seed < static_cast<int64_t>(opacity_.size()); ++seed) {
+    if (!take(seed)) continue;
+    component.assign(1, seed);
+    for (size_t next = 0; next < component.size(); ++next) {
+      const auto [x, y, z] = CellAt(component[next]);
+      for (int n = 0; n < 27; ++n) {
+        const int at[3] = {x + n % 3 - 1, y + n / 3 % 3 - 1, z + n / 9 - 1};
+        if (std::any_of(at, at + 3, [this](int c) { return c < 0 || c >= resolution_; })) continue;
+        const int64_t i = IndexOf(at[0], at[1], at[2]);
+        if (take(i)) component.push_back(i);
+      }
+    }
+    if (component.size() < fewest) continue;
+    for (const int64_t i : component) kept[i / 64] |= uint64_t{1} << (i % 64);
+  }
+  return kept;
+}
+
+OccupancyGrid::Box OccupancyGrid::OccupiedBox(double stray) const {
+  const std::vector<uint64_t> cells = stray > 0 ? WithoutStrays(stray) : occupied_;
   std::array<int, 3> low{resolution_, resolution_, resolution_}, high{0, 0, 0};
   for (int64_t i = 0; i < static_cast<int64_t>(opacity_.size()); ++i) {
-    if ((occupied_[i / 64] >> (i % 64) & 1) == 0) continue;
+    if ((cells[i / 64] >> (i % 64) & 1) == 0) continue;
     const std::array<int, 3> cell = CellAt(i);
     for (int k = 0; k < 3; ++k) {
       low[k] = std::min(low[k], cell[k]);

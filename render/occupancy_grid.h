@@ -50,8 +50,9 @@ class OccupancyGrid {
   struct Box {
     std::array<double, 3> min, max;  // field coordinates
   };
-  // Smallest box of cells that holds every occupied one; the whole cube when none is.
-  Box OccupiedBox() const;
+  // Smallest box of cells that holds every occupied one but strays: cells that hang together (by faces, edges or
+  // corners) with less than `stray` of all the occupied. The whole cube when none is occupied.
+  Box OccupiedBox(double stray = 0) const;
 
   // Everything a checkpoint needs to go on from.
   struct State {
@@ -67,11 +68,13 @@ class OccupancyGrid {
  private:
   // Cells are numbered in storage order, 512·block + 64·(z%8) + 8·(y%8) + x%8: cell i is bit i % 64 of word i / 64.
   std::array<int, 3> CellAt(int64_t index) const;
+  int64_t IndexOf(int x, int y, int z) const;
   std::vector<int64_t> ChooseCells(const UpdateOptions& options) const;
   void Measure(const RadianceField& field, const std::vector<int64_t>& cells, const UpdateOptions& options);
   void SetOccupied(float threshold, bool dilate);
   void Dilate();
   void SetBlocks();
+  std::vector<uint64_t> WithoutStrays(double stray) const;
 
   int resolution_;
   std::vector<float> opacity_;
