@@ -156,9 +156,9 @@ namespace {
 Preset SmallPreset(bool unbounded) {
   Preset preset;
   FieldConfig& field = preset.field;
-  field.levels = 8;
+  field.levels = unbounded ? 8 : 12;
   field.base_resolution = 16;
-  field.max_resolution = unbounded ? 256 : 128;
+  field.max_resolution = unbounded ? 256 : 192;
   field.appearance_line_mean = 1;
   field.density_scale = unbounded ? 60 : 25;
   field.density_shift = unbounded ? -5 : -4;
@@ -183,12 +183,12 @@ Preset SmallPreset(bool unbounded) {
   train.reset_with_step = false;
   train.density_l1_weight = 0;
   train.density_l1_weight_later = 0;
-  train.sparsity_weight = 1e-4;
+  train.sparsity_weight = unbounded ? 1e-4 : 1e-5;
   train.depth_weight = kDepthWeight;
   train.step_voxels = unbounded ? std::vector{24, 48, 96, 192} : std::vector{16, 32, 64, 128};
   train.step_moments = {0.03, 0.06, 0.1};
   train.step_ratio = 1;
-  train.occupancy_resolution = unbounded ? 128 : 64;
+  train.occupancy_resolution = 128;
   train.occupancy_moments = {};
   train.occupancy_interval = 16;
   train.occupancy_cells = unbounded ? 1 << 17 : 1 << 16;
@@ -196,9 +196,9 @@ Preset SmallPreset(bool unbounded) {
   train.occupancy_decay = 0.6;
   train.occupancy_dilate = false;
   train.occupancy_min_views = 1;
-  train.shrink_moments = {0.1, 0.2};
-  train.weight_threshold_first = unbounded ? 0.01 : 4e-3;
-  train.weight_threshold_last = unbounded ? 0.01 : 1e-3;
+  train.shrink_moments = {0.05, 0.1, 0.2};
+  train.weight_threshold_first = unbounded ? 0.01 : 8e-3;
+  train.weight_threshold_last = unbounded ? 0.01 : 4e-3;
   train.weight_threshold_moment = 0.5;
   return preset;
 }
