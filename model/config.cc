@@ -183,7 +183,7 @@ Preset SmallPreset(bool unbounded) {
   train.reset_with_step = false;
   train.density_l1_weight = 0;
   train.density_l1_weight_later = 0;
-  train.sparsity_weight = unbounded ? 1e-4 : 1e-5;
+  train.sparsity_weight = 1e-5;
   train.depth_weight = kDepthWeight;
   train.step_voxels = unbounded ? std::vector{24, 48, 96, 192} : std::vector{16, 32, 64, 128};
   train.step_moments = {0.03, 0.06, 0.1};
@@ -191,7 +191,7 @@ Preset SmallPreset(bool unbounded) {
   train.occupancy_resolution = 128;
   train.occupancy_moments = {};
   train.occupancy_interval = 16;
-  train.occupancy_cells = unbounded ? 1 << 17 : 1 << 16;
+  train.occupancy_cells = 1 << 16;
   train.occupancy_threshold = 0.01;
   train.occupancy_decay = 0.6;
   train.occupancy_dilate = false;

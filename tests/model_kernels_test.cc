@@ -14,6 +14,8 @@
 #include "model/kernels/fast_math.h"
 #include "model/kernels/feature_grid.h"
 #include "model/kernels/ree.h"
+#include "model/kernels/tile_gemm.h"
+#include "model/kernels/tile_rows.h"
 #include "render/kernels/random.h"
 
 namespace nrff {
@@ -199,6 +201,89 @@ TEST_P(FeatureGrid, CoordinatesThatAreNotNumbersReadTheFirstNode) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Channels, FeatureGrid, ::testing::Values(2, 4));
+
+// All sizes around the kernels' blocks, both orders of A, all starts; elements beyond C's columns stay.
+TEST(TileGemm, IsTheProductWhateverTheSizes) {
+  for (const int64_t m : {1, 3, 6, 11}) {
+    for (const int64_t n : {16, 48, 64, 112}) {
+      for (const int64_t k : {1, 17, 160, 321}) {
+        for (const GemmStart start : {GemmStart::kZero, GemmStart::kBias, GemmStart::kSum}) {
+          const bool transposed = (m + k) % 2 == 0;
+          const auto a = Uniforms(m * k, -1, 1, 1), b = Uniforms(k * (n + 5), -1, 1, 2), bias = Uniforms(m, -1, 1, 3),
+                     c = Uniforms(m * (n + 3), -1, 1, 4);
+          const std::vector<float> af(a.begin(), a.end()), bf(b.begin(), b.end()), biasf(bias.begin(), bias.end());
+          std::vector<float> cf(c.begin(), c.end());
+          TileGemm({.m = m,
+                    .n = n,
+                    .k = k,
+                    .a = af.data(),
+                    .a_row = transposed ? 1 : k,
+                    .a_column = transposed ? m : 1,
+                    .b = bf.data(),
+                    .b_row = n + 5,
+                    .c = cf.data(),
+                    .c_row = n + 3,
+                    .start = start,
+                    .bias = biasf.data()});
+          for (int64_t i = 0; i < m; ++i) {
+            for (int64_t j = 0; j < n + 3; ++j) {
+              double expected = start == GemmStart::kSum ? c[i * (n + 3) + j] : start == GemmStart::kBias ? bias[i] : 0;
+              for (int64_t l = 0; l < k; ++l) expected += a[transposed ? l * m + i : i * k + l] * b[l * (n + 5) + j];
+              if (j >= n) expected = c[i * (n + 3) + j];
+              // k products, each rounded once, of numbers below 1.
+              ASSERT_NEAR(cf[i * (n + 3) + j], expected, 6e-8 * double(k + 2) * 2) << m << " " << n << " " << k;
+            }
+          }
+        }
+      }
+    }
+  }
+}
+
+TEST(TileTranspose, TwiceIsTheMatrixItself) {
+  const auto values = Uniforms(12 * 20, -1, 1, 1);
+  const std::vector<float> from(values.begin(), values.end());
+  std::vector<float> across(16 * 14), back(12 * 20);
+  TileTranspose(from.data(), 20, 12, 16, across.data(), 14);
+  EXPECT_EQ(across[3 * 14 + 7], from[7 * 20 + 3]);
+  TileTranspose(across.data(), 14, 16, 12, back.data(), 20);
+  for (int i = 0; i < 12; ++i) {
+    for (int j = 0; j < 16; ++j) ASSERT_EQ(back[i * 20 + j], from[i * 20 + j]);
+  }
+}
+
+TEST(TileRows, ProductsGoToRowsAndBack) {
+  for (const int channels : {2, 4}) {
+    const GridLayout layout = MakeGridLayout(2, 4, 8, channels);
+    const auto values = Uniforms(layout.n_features() * 19, 1, 2, 1);
+    const std::vector<float> features(values.begin(), values.end());
+    std::vector<float> rows(layout.n_features() * 40, 9.F), back(features.size());
+    ProductsToRows(features.data(), layout, 19, 40, rows.data());
+    EXPECT_EQ(rows[(4 * channels + 1) * 40 + 18], features[(4 * 19 + 18) * channels + 1]);
+    EXPECT_EQ(rows[31], 0);  // padding to whole vectors
+    EXPECT_EQ(rows[32], 9);
+    RowsToProducts(rows.data(), layout, 19, 40, back.data());
+    EXPECT_EQ(back, features);
+  }
+}
+
+TEST(DensityActivation, IsSoftplusAndItsDerivativeFromNothingToOpaque) {
+  for (double f = -30; f < 40; f += 0.37) {
+    auto sigma = float(f), d = 2.F;
+    DensitiesFromFeatures(25, -4, 1, &sigma);
+    DensityGradients(25, &sigma, 1, &d);
+    const double x = double(float(f)) - 4, softplus = std::max(x, 0.) + std::log1p(std::exp(-std::abs(x)));
+    // x is a float: its rounding moves e^x by 2⁻²⁴·|x|.
+    EXPECT_NEAR(sigma, 25 * softplus, 25 * softplus * (1e-6 + 1.2e-7 * std::abs(x))) << f;
+    EXPECT_NEAR(d, 50 / (1 + std::exp(-x)), 50 / (1 + std::exp(-x)) * (3e-6 + 1.2e-7 * std::abs(x))) << f;
+  }
+}
+
+TEST(FastMath, NormalDistributionFunction) {
+  for (double x = -9; x < 9; x += 0.013) {
+    EXPECT_NEAR(FastNormalCdf(float(x)), 0.5 * std::erfc(-double(float(x)) / std::numbers::sqrt2), 2.5e-7) << x;
+  }
+}
 
 // raw such that softplus(raw − 1) = x
 double RawOf(double x) { return std::log(std::expm1(x)) + 1; }

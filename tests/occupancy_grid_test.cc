@@ -143,6 +143,26 @@ TEST(OccupancyGridTest, DilationIsTheMaximumOverThreeCubed) {
   });
 }
 
+TEST(OccupancyGridTest, StrayCellsDoNotHoldTheBoxOpen) {
+  OccupancyGrid::State state{.resolution = 16,
+                             .opacity = std::vector<float>(16 * 16 * 16, 0.F),
+                             .seen = std::vector<uint64_t>(64, ~uint64_t{0}),
+                             .occupied = std::vector<uint64_t>(64, 0)};
+  // A block of 8³ cells at the origin, and two cells that touch by a corner far from it.
+  for (int w = 0; w < 8; ++w) state.occupied[w] = ~uint64_t{0};
+  const auto set = [&state](int x, int y, int z) {
+    const int block = x / 8 + 2 * (y / 8) + 4 * (z / 8);
+    state.occupied[block * 8 + z % 8] |= uint64_t{1} << (8 * (y % 8) + x % 8);
+  };
+  set(12, 13, 14);
+  set(13, 14, 15);
+  const OccupancyGrid grid = OccupancyGrid::FromState(state);
+  EXPECT_EQ(grid.OccupiedBox().max, (std::array<double, 3>{0.75, 0.875, 1}));
+  EXPECT_EQ(grid.OccupiedBox(2. / 514).max, (std::array<double, 3>{0.75, 0.875, 1}));  // just enough
+  EXPECT_EQ(grid.OccupiedBox(0.01).max, (std::array<double, 3>{0, 0, 0}));
+  EXPECT_EQ(grid.OccupiedBox(0.01).min, (std::array<double, 3>{-1, -1, -1}));
+}
+
 TEST(OccupancyGridTest, StateRestoresEverythingAndSizesAreChecked) {
   OccupancyGrid grid(kResolution);
   grid.Update(GaussianBall(torch::kFloat, 100), FullUpdate());

@@ -15,6 +15,8 @@
 #include "pipeline/json.h"
 #include "render/kernels/compositing.h"
 #include "render/kernels/sampling.h"
+#include "render/image_renderer.h"
+#include "render/ray_block.h"
 #include "render/view_writer.h"
 #include "render/volume_renderer.h"
 #include "tests/analytic_field.h"
@@ -176,6 +178,101 @@ TEST(RenderRaysTest, TheWeightThresholdCostsAtMostTheWeightsLeftOut) {
   const double difference = (all.rgb - few.rgb).abs().sum().item<double>();
   EXPECT_LE(difference, 3 * left_out);
   EXPECT_GT(difference, 0);
+}
+
+// Rays from all around through the ball.
+Rays RaysThroughTheBall(int64_t n) {
+  at::manual_seed(4);
+  const Tensor from = at::randn({n, 3}, torch::kFloat), towards = 0.4 * at::randn({n, 3}, torch::kFloat);
+  const Tensor origins = 2 * from / from.norm(2, 1, true), directions = towards - origins;
+  return {origins.contiguous(), (directions / directions.norm(2, 1, true)).contiguous()};
+}
+
+class RayBlockTest : public ::testing::TestWithParam<std::pair<bool, double>> {};
+
+TEST_P(RayBlockTest, HasTheSamplesAndWeightsOfRaysTracedWholeCutAtTheStop) {
+  const auto [unbounded, stop] = GetParam();
+  const GaussianBall ball(torch::kFloat);
+  OccupancyGrid occupancy(32);
+  occupancy.Update(ball, {.step = 0.05, .threshold = 0.01F});
+  SceneMap map;
+  map.unbounded = unbounded;
+  RenderOptions options = Exact(0.02);
+  options.stop_transmittance = stop;
+  options.jitter = {3, 9};
+  const Rays rays = RaysThroughTheBall(RayBlock::kRays);
+  const Samples samples = MarchRays(occupancy, map, rays, options);
+  const Visibility visibility = MeasureVisibility(ball, samples, stop);
+
+  RayBlock block;
+  const MarchArgs<float> args{.n_rays = RayBlock::kRays,
+                              .origins = rays.origins.const_data_ptr<float>(),
+                              .directions = rays.directions.const_data_ptr<float>(),
+                              .occupancy = occupancy.bits(),
+                              .map = map,
+                              .step = options.step,
+                              .near = options.near,
+                              .far = options.far,
+                              .jitter = true,
+                              .jitter_seed = 3,
+                              .jitter_stream = StreamAt(RandomStream::kRayJitter, 9)};
+  for (int repeat = 0; repeat < 2; ++repeat) {  // what a block held before must not matter
+    block.Trace(ball, args, 0, RayBlock::kRays, static_cast<float>(stop));
+  }
+  const auto* offsets = samples.ray_offsets.const_data_ptr<int64_t>();
+  int64_t n_cut = 0;
+  for (int64_t r = 0; r < RayBlock::kRays; ++r) {
+    const int64_t n = block.offsets[r + 1] - block.offsets[r], n_whole = offsets[r + 1] - offsets[r];
+    ASSERT_LE(n, n_whole);
+    n_cut += n_whole - n;
+    for (int64_t i = 0; i < n_whole; ++i) {
+      const auto weight = visibility.weights[offsets[r] + i].item<float>();
+      if (i >= n) {
+        ASSERT_EQ(weight, 0);
+        continue;
+      }
+      ASSERT_EQ(block.t[block.offsets[r] + i], samples.t[offsets[r] + i].item<float>());
+      // The ball's exponential may differ in the last bit between batches of different sizes.
+      ASSERT_NEAR(block.weights[block.offsets[r] + i], weight, 1e-6);
+    }
+    ASSERT_NEAR(block.transmittance[r], visibility.transmittance[r].item<float>(), 1e-6);
+  }
+  EXPECT_GT(block.offsets.back(), 500);
+  EXPECT_EQ(n_cut > 0, stop > 0);
+  EXPECT_LE(block.n_evaluated, samples.t.numel());
+}
+
+INSTANTIATE_TEST_SUITE_P(Stops, RayBlockTest,
+                         ::testing::Values(std::pair{false, 0.}, std::pair{false, 0.05}, std::pair{true, 0.05}));
+
+TEST(RenderImageTest, IsTheRaysOfItsPixels) {
+  const GaussianBall ball(torch::kFloat);
+  OccupancyGrid occupancy(32);
+  occupancy.Update(ball, {.step = 0.05, .threshold = 0.01F});
+  View view;
+  view.width = 37;  // no multiple of the tiles
+  view.height = 21;
+  view.fx = view.fy = 40;
+  view.cx = 18;
+  view.cy = 11;
+  view.scene_from_camera = {1, 0, 0, 0.1, 0, 1, 0, 0, 0, 0, 1, -2, 0, 0, 0, 1};
+  RenderOptions options = Exact(0.02);
+  options.weight_threshold = options.stop_transmittance = 1e-3;
+  std::vector<int32_t> pixels;
+  for (int y = 0; y < view.height; ++y) {
+    for (int x = 0; x < view.width; ++x) pixels.insert(pixels.end(), {0, x, y});
+  }
+  const Rays rays = RaysThroughPixels({view}, at::tensor(pixels, at::kInt).view({-1, 3}), torch::kFloat);
+  const RenderResult expected = RenderRays(ball, occupancy, SceneMap{}, rays, options);
+  int64_t done = 0;
+  const RenderedImage image =
+      RenderImage(ball, occupancy, SceneMap{}, view, options, [&done](int64_t n_rays) { done = n_rays; });
+  EXPECT_EQ(done, 37 * 21);
+  EXPECT_EQ(image.n_shaded, expected.n_shaded);
+  for (int64_t i = 0; i < 37 * 21; ++i) {
+    for (int c = 0; c < 3; ++c) ASSERT_NEAR(image.rgb[3 * i + c], expected.rgb[i][c].item<float>(), 1e-5) << i;
+    ASSERT_NEAR(image.opacity[i], expected.opacity[i].item<float>(), 1e-5) << i;
+  }
 }
 
 TEST(RenderRaysTest, UnusableOptionsAreInputErrors) {

@@ -24,7 +24,7 @@ int64_t PaddedInputs(int n_in) { return RoundUp(n_in, kGemmColumns); }
 NRFF_MULTIVERSION void Activate(Activation activation, const float* before, int64_t n, float* after) {
   if (activation == Activation::kRelu) {
     NRFF_ROWS_DISTINCT
-    for (int64_t s = 0; s < n; ++s) after[s] = before[s] > 0 ? before[s] : 0.F;
+    for (int64_t s = 0; s < n; ++s) after[s] = before[s] < 0 ? 0.F : before[s];  // NaN stays
   } else {
     NRFF_ROWS_DISTINCT
     for (int64_t s = 0; s < n; ++s) after[s] = before[s] * FastNormalCdf(before[s]);
