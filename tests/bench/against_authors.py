@@ -17,6 +17,7 @@ the authors' code in double precision.
 import argparse
 import datetime
 import json
+import math
 import os
 import pathlib
 import statistics
@@ -141,6 +142,7 @@ class Authors:
     def compare(self):
         """Largest difference of a gradient, over the largest gradient of that parameter, ours against double."""
         torch = self.torch
+        torch.set_default_dtype(torch.float64)  # their code makes tensors of the default type
         self.model.double()
         self.model.aabb = self.model.aabb.double()
         self.model.update_stepSize([300, 300, 300])
@@ -151,6 +153,7 @@ class Authors:
             setattr(ree, name, getattr(ree, name).double())
         total, mse, n_shaded = self.loss(0, jitter=False)
         total.backward()
+        torch.set_default_dtype(torch.float32)
         worst = {}
 
         def note(name, theirs, ours):
@@ -191,7 +194,7 @@ class Authors:
             result["step_mse"].append(mse)
         image = torch.cat(rows).reshape(self.inputs["view/rgb"].shape)
         error = torch.mean((image - self.inputs["view/rgb"]) ** 2).item()
-        return result, -10 * __import__("math").log10(max(error, 1e-20))
+        return result, -10 * math.log10(max(error, 1e-20))
 
 
 def main():
