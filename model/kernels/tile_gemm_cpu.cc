@@ -3,6 +3,7 @@
 
 #include "model/kernels/simd.h"
 #include "model/kernels/tile_gemm.h"
+#include "model/kernels/tile_gemm_amx.h"
 
 namespace nrff {
 namespace {
@@ -95,6 +96,10 @@ void GemmOfAnyCpu(const GemmArgs& args) { Gemm<4, 2, 4>(args); }
 
 void TileGemm(const GemmArgs& args) {
   if (args.m == 0 || args.n == 0) return;
+  if (AmxAvailable() && AmxPays(args)) {
+    TileGemmAmx(args);
+    return;
+  }
 #ifdef NRFF_CPU_LEVELS
   static const auto kGemm = __builtin_cpu_supports("x86-64-v4")   ? GemmOfLevel4
                             : __builtin_cpu_supports("x86-64-v3") ? GemmOfLevel3

@@ -1,0 +1,279 @@
+#include "model/kernels/tile_gemm_amx.h"
+
+#include <algorithm>
+#include <cstring>
+#include <memory>
+#include <stdexcept>
+
+#include "model/kernels/simd.h"
+
+#if defined(NRFF_CPU_LEVELS) && defined(__linux__) && __GNUC__ >= 12
+#define NRFF_AMX
+#include <cpuid.h>
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wmaybe-uninitialized"  // of GCC 12's own header, wherever it is inlined
+#include <immintrin.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+#endif
+
+namespace nrff {
+
+#ifdef NRFF_AMX
+
+namespace {
+
+#define NRFF_AMX_TARGET __attribute__((target("arch=x86-64-v4,avx512bf16,amx-tile,amx-bf16,prefer-vector-width=512")))
+#define NRFF_AMX_INLINE NRFF_AMX_TARGET NRFF_INLINE
+
+// A register tile has 16 rows of 16 pairs of bf16 (operands) or of 16 floats (sums). Blocks of C are 2 × 2 of them.
+constexpr int64_t kTileRows = 16, kTileDepth = 32, kBlock = 32;
+constexpr int64_t kTileWords = 256;      // 32-bit
+constexpr int64_t kDepth = 512;          // inner products are cut to this, so that a panel of B stays near
+
+int64_t RoundUp(int64_t n, int64_t multiple) { return (n + multiple - 1) / multiple * multiple; }
+
+struct alignas(64) TileConfig {
+  uint8_t palette = 1, start_row = 0, reserved[14] = {};
+  uint16_t column_bytes[16] = {};
+  uint8_t rows[16] = {};
+};
+
+// 32-bit words that grow and are aligned to cache lines.
+class Words {
+ public:
+  uint32_t* Reserve(int64_t n) {
+    if (n > n_) {
+      words_.reset(static_cast<uint32_t*>(::operator new(n * sizeof(uint32_t), std::align_val_t{64})));
+      n_ = n;
+    }
+    return words_.get();
+  }
+
+ private:
+  struct Free {
+    void operator()(uint32_t* p) const { ::operator delete(p, std::align_val_t{64}); }
+  };
+  std::unique_ptr<uint32_t, Free> words_;
+  int64_t n_ = 0;
+};
+
+struct Split {
+  __m512i hi, lo;  // 16 pairs of bf16
+};
+
+NRFF_AMX_INLINE __m512i ToBf16(__m512 x) { return _mm512_cvtepu16_epi32((__m256i)_mm512_cvtneps_pbh(x)); }
+
+// Lane l is the pair (first[l], second[l]).
+NRFF_AMX_INLINE Split SplitPairs(__m512 first, __m512 second) {
+  const __m512i hi_first = _mm512_slli_epi32(ToBf16(first), 16), hi_second = _mm512_slli_epi32(ToBf16(second), 16);
+  const __m512i lo_first = ToBf16(first - _mm512_castsi512_ps(hi_first));
+  const __m512i lo_second = ToBf16(second - _mm512_castsi512_ps(hi_second));
+  return {_mm512_or_si512(_mm512_srli_epi32(hi_first, 16), hi_second),
+          _mm512_or_si512(lo_first, _mm512_slli_epi32(lo_second, 16))};
+}
+
+// Rows of 16 words → columns.
+NRFF_AMX_INLINE void Transpose(__m512i rows[16]) {
+  __m512i t[16];
+  for (int i = 0; i < 8; ++i) {
+    t[2 * i] = _mm512_unpacklo_epi32(rows[2 * i], rows[2 * i + 1]);
+    t[2 * i + 1] = _mm512_unpackhi_epi32(rows[2 * i], rows[2 * i + 1]);
+  }
+  for (int i = 0; i < 4; ++i) {
+    rows[4 * i] = _mm512_unpacklo_epi64(t[4 * i], t[4 * i + 2]);
+    rows[4 * i + 1] = _mm512_unpackhi_epi64(t[4 * i], t[4 * i + 2]);
+    rows[4 * i + 2] = _mm512_unpacklo_epi64(t[4 * i + 1], t[4 * i + 3]);
+    rows[4 * i + 3] = _mm512_unpackhi_epi64(t[4 * i + 1], t[4 * i + 3]);
+  }
+  for (int i = 0; i < 4; ++i) {
+    t[i] = _mm512_shuffle_i32x4(rows[i], rows[4 + i], 0x88);
+    t[4 + i] = _mm512_shuffle_i32x4(rows[i], rows[4 + i], 0xdd);
+    t[8 + i] = _mm512_shuffle_i32x4(rows[8 + i], rows[12 + i], 0x88);
+    t[12 + i] = _mm512_shuffle_i32x4(rows[8 + i], rows[12 + i], 0xdd);
+  }
+  for (int i = 0; i < 8; ++i) {
+    rows[i] = _mm512_shuffle_i32x4(t[i], t[8 + i], 0x88);
+    rows[8 + i] = _mm512_shuffle_i32x4(t[i], t[8 + i], 0xdd);
+  }
+}
+
+// The tile A(i.., k..) of 16 rows and 32 columns, zero beyond m and k_end; hi, then lo.
+NRFF_AMX_INLINE void PackTileOfA(const GemmArgs& args, int64_t i, int64_t k, int64_t k_end, uint32_t* to) {
+  if (args.a_column == 1) {
+    const auto lanes = [&](int64_t first) {
+      return __mmask16(first >= k_end ? 0 : (1U << std::min<int64_t>(16, k_end - first)) - 1);
+    };
+    const __mmask16 left = lanes(k), right = lanes(k + 16);
+    const __m512i even = _mm512_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
+    const __m512i odd = _mm512_add_epi32(even, _mm512_set1_epi32(1));
+    for (int64_t r = 0; r < kTileRows; ++r) {
+      __m512 x = _mm512_setzero_ps(), y = x;
+      if (i + r < args.m) {
+        const float* row = args.a + (i + r) * args.a_row + k;
+        x = _mm512_maskz_loadu_ps(left, row);
+        y = _mm512_maskz_loadu_ps(right, row + 16);
+      }
+      const Split split = SplitPairs(_mm512_permutex2var_ps(x, even, y), _mm512_permutex2var_ps(x, odd, y));
+      _mm512_store_si512(to + r * 16, split.hi);
+      _mm512_store_si512(to + kTileWords + r * 16, split.lo);
+    }
+    return;
+  }
+  // Columns of A lie side by side (a_row = 1).
+  const auto rows = __mmask16((1U << std::min<int64_t>(16, args.m - i)) - 1);
+  __m512i hi[16], lo[16];
+  for (int64_t pair = 0; pair < 16; ++pair) {
+    const int64_t at = k + 2 * pair;
+    const float* column = args.a + i + at * args.a_column;
+    const __m512 x = at < k_end ? _mm512_maskz_loadu_ps(rows, column) : _mm512_setzero_ps();
+    const __m512 y = at + 1 < k_end ? _mm512_maskz_loadu_ps(rows, column + args.a_column) : _mm512_setzero_ps();
+    const Split split = SplitPairs(x, y);
+    hi[pair] = split.hi;
+    lo[pair] = split.lo;
+  }
+  Transpose(hi);
+  Transpose(lo);
+  for (int r = 0; r < 16; ++r) {
+    _mm512_store_si512(to + r * 16, hi[r]);
+    _mm512_store_si512(to + kTileWords + r * 16, lo[r]);
+  }
+}
+
+// Columns j to j + 31 of B as pairs of rows: per 32 rows tile of the left 16 columns hi, lo, of the right 16 hi, lo.
+NRFF_AMX_INLINE void PackPanelOfB(const GemmArgs& args, int64_t j, int64_t k_begin, int64_t k_end, uint32_t* to) {
+  const int64_t n_halves = std::min<int64_t>(2, (args.n - j) / 16);
+  const __m512 zero = _mm512_setzero_ps();
+  for (int64_t k = k_begin; k < k_end; k += kTileDepth, to += 4 * kTileWords) {
+    for (int64_t half = 0; half < 2; ++half) {
+      uint32_t* tile = to + 2 * half * kTileWords;
+      const float* from = args.b + j + 16 * half;
+      for (int64_t pair = 0; pair < 16; ++pair) {
+        const int64_t at = k + 2 * pair;
+        const bool inside = half < n_halves;
+        const __m512 x = inside && at < k_end ? _mm512_loadu_ps(from + at * args.b_row) : zero;
+        const __m512 y = inside && at + 1 < k_end ? _mm512_loadu_ps(from + (at + 1) * args.b_row) : zero;
+        const Split split = SplitPairs(x, y);
+        _mm512_store_si512(tile + pair * 16, split.hi);
+        _mm512_store_si512(tile + kTileWords + pair * 16, split.lo);
+      }
+    }
+  }
+}
+
+// Sums of a block of C into sums [32][32]. a: per 32 of k the tile of the upper 16 rows hi, lo, of the lower hi, lo.
+NRFF_AMX_INLINE void MultiplyBlock(const uint32_t* a, const uint32_t* b, int64_t n_steps, bool lower, bool right,
+                                   float* sums) {
+  constexpr int64_t kRowBytes = 64;
+  _tile_zero(0);
+  _tile_zero(1);
+  _tile_zero(2);
+  _tile_zero(3);
+  for (int64_t s = 0; s < n_steps; ++s, a += 4 * kTileWords, b += 4 * kTileWords) {
+    const auto all = [&]() NRFF_AMX_TARGET {
+      _tile_dpbf16ps(0, 4, 6);
+      if (right) _tile_dpbf16ps(1, 4, 7);
+      if (lower) _tile_dpbf16ps(2, 5, 6);
+      if (lower && right) _tile_dpbf16ps(3, 5, 7);
+    };
+    _tile_loadd(4, a, kRowBytes);
+    _tile_loadd(5, a + 2 * kTileWords, kRowBytes);
+    _tile_loadd(6, b + kTileWords, kRowBytes);
+    _tile_loadd(7, b + 3 * kTileWords, kRowBytes);
+    all();
+    _tile_loadd(6, b, kRowBytes);
+    _tile_loadd(7, b + 2 * kTileWords, kRowBytes);
+    all();
+    _tile_loadd(4, a + kTileWords, kRowBytes);
+    _tile_loadd(5, a + 3 * kTileWords, kRowBytes);
+    all();
+  }
+  _tile_stored(0, sums, kBlock * sizeof(float));
+  _tile_stored(1, sums + kTileRows, kBlock * sizeof(float));
+  _tile_stored(2, sums + kTileRows * kBlock, kBlock * sizeof(float));
+  _tile_stored(3, sums + kTileRows * kBlock + kTileRows, kBlock * sizeof(float));
+}
+
+NRFF_AMX_INLINE void Finish(const GemmArgs& args, GemmStart start, int64_t i, int64_t j, const float* sums) {
+  const int64_t n_rows = std::min(kBlock, args.m - i), n_columns = std::min(kBlock, args.n - j);
+  for (int64_t r = 0; r < n_rows; ++r) {
+    float* c = args.c + (i + r) * args.c_row + j;
+    const __m512 bias = _mm512_set1_ps(start == GemmStart::kBias ? args.bias[i + r] : 0.F);
+    for (int64_t s = 0; s < n_columns; s += 16) {
+      const __m512 before = start == GemmStart::kSum ? _mm512_loadu_ps(c + s) : bias;
+      _mm512_storeu_ps(c + s, before + _mm512_load_ps(sums + r * kBlock + s));
+    }
+  }
+}
+
+NRFF_AMX_TARGET void Multiply(const GemmArgs& args) {
+  thread_local Words words_of_a, words_of_b;
+  TileConfig config;
+  for (int t = 0; t < 8; ++t) {
+    config.column_bytes[t] = 64;
+    config.rows[t] = kTileRows;
+  }
+  _tile_loadconfig(&config);
+  alignas(64) float sums[kBlock * kBlock];
+  const int64_t n_blocks = RoundUp(args.m, kBlock) / kBlock;
+  for (int64_t k_begin = 0; k_begin < args.k; k_begin += kDepth) {
+    const int64_t k_end = std::min(args.k, k_begin + kDepth);
+    const GemmStart start = k_begin == 0 ? args.start : GemmStart::kSum;
+    const int64_t n_steps = RoundUp(k_end - k_begin, kTileDepth) / kTileDepth;
+    const int64_t panel = n_steps * 4 * kTileWords;
+    uint32_t* a = words_of_a.Reserve(n_blocks * panel);
+    uint32_t* b = words_of_b.Reserve(panel);
+    for (int64_t block = 0; block < n_blocks; ++block) {
+      for (int64_t s = 0; s < n_steps; ++s) {
+        for (int64_t half = 0; half < 2; ++half) {
+          const int64_t i = block * kBlock + half * kTileRows;
+          if (i >= args.m) continue;
+          PackTileOfA(args, i, k_begin + s * kTileDepth, k_end, a + block * panel + (4 * s + 2 * half) * kTileWords);
+        }
+      }
+    }
+    for (int64_t j = 0; j < args.n; j += kBlock) {
+      PackPanelOfB(args, j, k_begin, k_end, b);
+      for (int64_t block = 0; block < n_blocks; ++block) {
+        const int64_t i = block * kBlock;
+        MultiplyBlock(a + block * panel, b, n_steps, i + kTileRows < args.m, j + kTileRows < args.n, sums);
+        Finish(args, start, i, j, sums);
+      }
+    }
+  }
+  _tile_release();
+}
+
+}  // namespace
+
+#pragma GCC diagnostic pop
+
+bool AmxAvailable() {
+  static const bool kAvailable = [] {
+    unsigned a = 0, b = 0, c = 0, d = 0;
+    if (!__builtin_cpu_supports("x86-64-v4") || __get_cpuid_count(7, 0, &a, &b, &c, &d) == 0) return false;
+    constexpr unsigned kAmxBf16 = 1U << 22, kAmxTile = 1U << 24;
+    if ((d & kAmxBf16) == 0 || (d & kAmxTile) == 0) return false;
+    constexpr unsigned kAvx512Bf16 = 1U << 5;
+    if (__get_cpuid_count(7, 1, &a, &b, &c, &d) == 0 || (a & kAvx512Bf16) == 0) return false;
+    constexpr long kArchReqXcompPerm = 0x1023, kXfeatureTileData = 18;  // asm/prctl.h, Documentation/arch/x86/xstate
+    return syscall(SYS_arch_prctl, kArchReqXcompPerm, kXfeatureTileData) == 0;
+  }();
+  return kAvailable;
+}
+
+void TileGemmAmx(const GemmArgs& args) { Multiply(args); }
+
+#else
+
+bool AmxAvailable() { return false; }
+void TileGemmAmx(const GemmArgs&) { throw std::logic_error("this build has no AMX"); }
+
+#endif
+
+bool AmxPays(const GemmArgs& args) {
+  constexpr int64_t kFewest = 16;
+  return args.m >= kFewest && args.k >= kFewest && (args.a_column == 1 || args.a_row == 1);
+}
+
+}  // namespace nrff

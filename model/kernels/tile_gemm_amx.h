@@ -1,0 +1,21 @@
+// TileGemm on the matrix unit of x86 processors that have one (AMX, bf16). Part of tile_gemm_cpu.cc.
+//
+// Every operand is split into two bf16 numbers, x = hi + lo with |x − hi − lo| ≤ 2⁻¹⁸ |x|, and three of the four
+// products are summed in float: Σ hi·hi + hi·lo + lo·hi. A product is off by 2⁻¹⁶ of itself at the most, without a
+// bias: near float's rounding of a sum of a few hundred, at a third of the unit's bf16 rate. Denormal numbers count
+// as zero, and what is not finite comes out as NaN or infinity.
+#pragma once
+
+#include "model/kernels/tile_gemm.h"
+
+namespace nrff {
+
+// Whether processor, operating system and compiler have it; asks the operating system for its registers.
+bool AmxAvailable();
+
+// Products smaller than this are not worth the packing.
+bool AmxPays(const GemmArgs& args);
+
+void TileGemmAmx(const GemmArgs& args);
+
+}  // namespace nrff
