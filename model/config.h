@@ -69,7 +69,7 @@ struct TrainConfig {
   std::vector<double> occupancy_moments = {2. / 30, 4. / 30};
   int occupancy_interval = 0;
   int64_t occupancy_cells = 0;        // measured per update but the first, half of them among the occupied; 0: all
-  double occupancy_threshold = 1e-5;  // opacity over a step
+  double occupancy_threshold = 2.5e-4;  // opacity over a step; the authors' 1e-5 leaves density_scale (25) out
   double occupancy_decay = 0;
   bool occupancy_dilate = true;
   int occupancy_min_views = 0;     // unbounded scenes: cells seen by fewer training views are empty

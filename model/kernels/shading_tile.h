@@ -81,7 +81,7 @@ class ShadingTile {
 
  private:
   struct Hidden {
-    int before, after;  // first rows, before and after the activation
+    int derivative, after;  // first rows, of the activation
   };
 
   int AddRows(int n);
@@ -92,7 +92,7 @@ class ShadingTile {
                       Activation activation, int64_t n);
   // d_output → d_input, by way of the rows scratch_[0] and scratch_[1].
   void BackwardNetwork(const std::vector<LinearLayer>& layers, const std::vector<Hidden>& hidden, int input,
-                       int d_output, int d_input, Activation activation, int64_t n,
+                       int d_output, int d_input, int64_t n,
                        std::span<const ShadingGradients::Layer> gradients);
   void BackwardLayer(const LinearLayer& layer, int input, int d_output, int d_input, int64_t n,
                      const ShadingGradients::Layer& gradient);

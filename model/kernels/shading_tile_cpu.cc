@@ -21,29 +21,29 @@ int64_t RoundUp(int64_t n, int64_t multiple) { return (n + multiple - 1) / multi
 // Row length of transposed inputs and of weight gradients.
 int64_t PaddedInputs(int n_in) { return RoundUp(n_in, kGemmColumns); }
 
-NRFF_MULTIVERSION void Activate(Activation activation, const float* before, int64_t n, float* after) {
+// before ← activation'(before)
+NRFF_MULTIVERSION void Activate(Activation activation, float* before, int64_t n, float* after) {
   if (activation == Activation::kRelu) {
     NRFF_ROWS_DISTINCT
-    for (int64_t s = 0; s < n; ++s) after[s] = before[s] < 0 ? 0.F : before[s];  // NaN stays
+    for (int64_t s = 0; s < n; ++s) {
+      const float x = before[s];
+      after[s] = x < 0 ? 0.F : x;  // NaN stays
+      before[s] = x > 0 ? 1.F : 0.F;
+    }
   } else {
     NRFF_ROWS_DISTINCT
-    for (int64_t s = 0; s < n; ++s) after[s] = before[s] * FastNormalCdf(before[s]);
+    for (int64_t s = 0; s < n; ++s) {
+      float gelu, derivative;
+      FastGelu(before[s], gelu, derivative);
+      after[s] = gelu;
+      before[s] = derivative;
+    }
   }
 }
 
-// d ← d · activation'(before)
-NRFF_MULTIVERSION void ActivateBackward(Activation activation, const float* before, int64_t n, float* d) {
-  if (activation == Activation::kRelu) {
-    NRFF_ROWS_DISTINCT
-    for (int64_t s = 0; s < n; ++s) d[s] = before[s] > 0 ? d[s] : 0.F;
-  } else {
-    constexpr float kInverseRoot2Pi = 0.398942280F;
-    NRFF_ROWS_DISTINCT
-  for (int64_t s = 0; s < n; ++s) {
-      const float x = before[s];
-      d[s] *= FastNormalCdf(x) + x * kInverseRoot2Pi * FastExp(-0.5F * x * x);
-    }
-  }
+NRFF_MULTIVERSION void Scale(const float* factor, int64_t n, float* d) {
+  NRFF_ROWS_DISTINCT
+  for (int64_t s = 0; s < n; ++s) d[s] *= factor[s];
 }
 
 NRFF_MULTIVERSION void SumRow(const float* row, int64_t n, float* sum) {
@@ -263,7 +263,7 @@ void ShadingTile::ForwardNetwork(const std::vector<LinearLayer>& layers, const s
                                  int output, Activation activation, int64_t n) {
   for (size_t i = 0; i < layers.size(); ++i) {
     const bool last = i + 1 == layers.size();
-    float* before = Row(last ? output : hidden[i].before);
+    float* before = Row(last ? output : hidden[i].derivative);
     ForwardLayer(layers[i], Row(i == 0 ? input : hidden[i - 1].after), n, stride_, before);
     if (last) break;
     float* after = Row(hidden[i].after);
@@ -326,14 +326,14 @@ void ShadingTile::BackwardLayer(const LinearLayer& layer, int input, int d_outpu
 }
 
 void ShadingTile::BackwardNetwork(const std::vector<LinearLayer>& layers, const std::vector<Hidden>& hidden, int input,
-                                  int d_output, int d_input, Activation activation, int64_t n,
+                                  int d_output, int d_input, int64_t n,
                                   std::span<const ShadingGradients::Layer> gradients) {
   int d = d_output;
   for (int i = int(layers.size()) - 1; i >= 0; --i) {
     const int next = i == 0 ? d_input : scratch_[i % 2];
     BackwardLayer(layers[i], i == 0 ? input : hidden[i - 1].after, d, next, n, gradients[i]);
     if (i == 0) break;
-    for (int r = 0; r < layers[i].n_in; ++r) ActivateBackward(activation, Row(hidden[i - 1].before + r), n, Row(next + r));
+    for (int r = 0; r < layers[i].n_in; ++r) Scale(Row(hidden[i - 1].derivative + r), n, Row(next + r));
     d = next;
   }
 }
@@ -346,8 +346,8 @@ void ShadingTile::Backward(const ShadingNetworks& networks, int64_t n_samples, c
     ColourBackward(Row(spatial_out_ + kTint + c), Row(specular_ + c), Row(rgb_ + c), Row(d_rgb_ + c), n,
                    Row(d_spatial_out_ + kDiffuse + c), Row(d_spatial_out_ + kTint + c), Row(d_specular_ + c));
   }
-  BackwardNetwork(networks.directional, directional_hidden_, directional_in_, d_specular_, d_directional_in_,
-                  networks.activation, n, layers.subspan(n_spatial + 1));
+  BackwardNetwork(networks.directional, directional_hidden_, directional_in_, d_specular_, d_directional_in_, n,
+                  layers.subspan(n_spatial + 1));
   const int bottleneck = networks.bottleneck_width;
   for (int k = 0; k < 3; ++k) std::fill_n(Row(d_reflected_ + k), n, 0.F);
   for (int k = 0; k < networks.lobes.size(); ++k) {
@@ -367,7 +367,7 @@ void ShadingTile::Backward(const ShadingNetworks& networks, int64_t n_samples, c
   ReflectBackward(Row(normal_), Row(inverse_norm_), Row(cosine_), Row(directions_),
                   Row(d_directional_in_ + cosine_ - directional_in_), Row(d_reflected_), Row(d_normal_), n, stride_,
                   Row(d_spatial_out_ + kNormal));
-  BackwardNetwork(networks.spatial, spatial_hidden_, features_, d_spatial_out_, d_features_, networks.activation, n,
+  BackwardNetwork(networks.spatial, spatial_hidden_, features_, d_spatial_out_, d_features_, n,
                   layers.first(n_spatial));
 }
 

@@ -105,7 +105,7 @@ class Bench {
                         {"grid_rate", config_.grid_rate},
                         {"network_rate", config_.network_rate},
                         {"occupancy_resolution", config_.occupancy_resolution},
-                        {"occupancy_threshold", config_.occupancy_threshold},
+                        {"occupancy_threshold", config_.occupancy_threshold / model_->field->config().density_scale},
                         {"field", ToJson(model_->field->config())},
                         {"mse", result.mse},
                         {"orientation", result.orientation},
