@@ -207,31 +207,38 @@ INSTANTIATE_TEST_SUITE_P(Channels, FeatureGrid, ::testing::Values(2, 4));
 TEST(TileGemm, IsTheProductWhateverTheSizes) {
   for (const int64_t m : {1, 3, 11, 16, 49}) {
     for (const int64_t n : {16, 48, 64, 112}) {
-      for (const int64_t k : {1, 17, 160, 545}) {
+      for (const int64_t k : {1, 17, 160, 545, 548}) {
         for (const GemmStart start : {GemmStart::kZero, GemmStart::kBias, GemmStart::kSum}) {
-          const bool transposed = (m + k) % 2 == 0;
-          const auto a = Uniforms(m * k, -1, 1, 1), b = Uniforms(k * (n + 5), -1, 1, 2), bias = Uniforms(m, -1, 1, 3),
-                     c = Uniforms(m * (n + 3), -1, 1, 4);
+          const bool transposed = (m + k) % 2 == 0, b_transposed = k % 4 == 0 && m > 3;
+          const int64_t b_row = (b_transposed ? k : n) + 5;
+          const auto a = Uniforms(m * k, -1, 1, 1), b = Uniforms((k + n) * b_row, -1, 1, 2),
+                     bias = Uniforms(m, -1, 1, 3), c = Uniforms(m * (n + 3), -1, 1, 4);
           const std::vector<float> af(a.begin(), a.end()), bf(b.begin(), b.end()), biasf(bias.begin(), bias.end());
-          std::vector<float> cf(c.begin(), c.end());
-          TileGemm({.m = m,
-                    .n = n,
-                    .k = k,
-                    .a = af.data(),
-                    .a_row = transposed ? 1 : k,
-                    .a_column = transposed ? m : 1,
-                    .b = bf.data(),
-                    .b_row = n + 5,
-                    .c = cf.data(),
-                    .c_row = n + 3,
-                    .start = start,
-                    .bias = biasf.data()});
+          std::vector<float> cf(c.begin(), c.end()), scratch(k * (n + 16));
+          const GemmArgs args{.m = m,
+                              .n = n,
+                              .k = k,
+                              .a = af.data(),
+                              .a_row = transposed ? 1 : k,
+                              .a_column = transposed ? m : 1,
+                              .b = bf.data(),
+                              .b_row = b_row,
+                              .c = cf.data(),
+                              .c_row = n + 3,
+                              .start = start,
+                              .bias = biasf.data()};
+          if (b_transposed) {
+            TileGemmTransposed(args, {scratch.data(), n + 16});
+          } else {
+            TileGemm(args);
+          }
           for (int64_t i = 0; i < m; ++i) {
             for (int64_t j = 0; j < n + 3; ++j) {
               double expected = start == GemmStart::kSum ? c[i * (n + 3) + j] : start == GemmStart::kBias ? bias[i] : 0;
               double magnitude = 0;
               for (int64_t l = 0; l < k; ++l) {
-                const double product = a[transposed ? l * m + i : i * k + l] * b[l * (n + 5) + j];
+                const double product =
+                    a[transposed ? l * m + i : i * k + l] * b[b_transposed ? j * b_row + l : l * b_row + j];
                 expected += product;
                 magnitude += std::abs(product);
               }

@@ -55,12 +55,19 @@ NRFF_INLINE void FastSoftplus(Scalar x, Scalar& softplus, Scalar& derivative) {
   derivative = numerator / (1 + e);
 }
 
+// 1/x within 1e-7 of it, for normal x > 0: three of Newton's steps, which are faster than a division of vectors.
+NRFF_INLINE float FastInverse(float x) {
+  float y = std::bit_cast<float>(0x7EF311C7 - std::bit_cast<int32_t>(x));
+  for (int step = 0; step < 3; ++step) y = y * (2 - x * y);
+  return y;
+}
+
 // x · Φ(x), Φ the standard normal distribution function, and the derivative Φ(x) + x φ(x). Φ is within 2.5e-7:
 // Abramowitz and Stegun 7.1.26 (half of its 1.5e-7) and the rounding of its polynomial, whose terms reach 1.5.
 NRFF_INLINE void FastGelu(float x, float& gelu, float& derivative) {
   constexpr float kInverseRoot2Pi = 0.398942280F;
   const float a = (x > 0 ? x : -x) * 0.707106781F;
-  const float t = 1 / (1 + 0.3275911F * a);
+  const float t = FastInverse(1 + 0.3275911F * a);
   float p = 1.061405429F;
   p = p * t - 1.453152027F;
   p = p * t + 1.421413741F;

@@ -299,19 +299,18 @@ void ShadingTile::Forward(const ShadingNetworks& networks, int64_t n_samples) {
 void ShadingTile::BackwardLayer(const LinearLayer& layer, int input, int d_output, int d_input, int64_t n,
                                 const ShadingGradients::Layer& gradient) {
   const int64_t padded = PaddedInputs(layer.n_in);
-  const int64_t row = padded + kLine;
-  TileTranspose(Row(input), stride_, RoundUp(layer.n_in, 4), n, transposed_.data(), row);
-  TileGemm({.m = layer.n_out,
-            .n = padded,
-            .k = n,
-            .a = Row(d_output),
-            .a_row = stride_,
-            .a_column = 1,
-            .b = transposed_.data(),
-            .b_row = row,
-            .c = gradient.weight,
-            .c_row = gradient.stride,
-            .start = GemmStart::kSum});
+  TileGemmTransposed({.m = layer.n_out,
+                      .n = padded,
+                      .k = n,
+                      .a = Row(d_output),
+                      .a_row = stride_,
+                      .a_column = 1,
+                      .b = Row(input),
+                      .b_row = stride_,
+                      .c = gradient.weight,
+                      .c_row = gradient.stride,
+                      .start = GemmStart::kSum},
+                     {transposed_.data(), padded + kLine});
   for (int r = 0; r < layer.n_out; ++r) SumRow(Row(d_output + r), n, gradient.bias + r);
   TileGemm({.m = layer.n_in,
             .n = n,

@@ -25,6 +25,14 @@ struct GemmArgs {
 };
 void TileGemm(const GemmArgs& args);
 
+// The same with B(k, j) = b[j · b_row + k]. scratch: the product's use, [k rounded up to 4][scratch_row], with
+// scratch_row ≥ n.
+struct GemmScratch {
+  float* values = nullptr;
+  int64_t row = 0;
+};
+void TileGemmTransposed(const GemmArgs& args, const GemmScratch& scratch);
+
 // to[j][i] = from[i][j] for i < rows, j < columns, multiples of 4.
 void TileTranspose(const float* from, int64_t from_row, int64_t rows, int64_t columns, float* to, int64_t to_row);
 

@@ -98,66 +98,72 @@ NRFF_AMX_INLINE void Transpose(__m512i rows[16]) {
   }
 }
 
-// The tile A(i.., k..) of 16 rows and 32 columns, zero beyond m and k_end; hi, then lo.
-NRFF_AMX_INLINE void PackTileOfA(const GemmArgs& args, int64_t i, int64_t k, int64_t k_end, uint32_t* to) {
-  if (args.a_column == 1) {
-    const auto lanes = [&](int64_t first) {
-      return __mmask16(first >= k_end ? 0 : (1U << std::min<int64_t>(16, k_end - first)) - 1);
-    };
-    const __mmask16 left = lanes(k), right = lanes(k + 16);
-    const __m512i even = _mm512_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
-    const __m512i odd = _mm512_add_epi32(even, _mm512_set1_epi32(1));
-    for (int64_t r = 0; r < kTileRows; ++r) {
-      __m512 x = _mm512_setzero_ps(), y = x;
-      if (i + r < args.m) {
-        const float* row = args.a + (i + r) * args.a_row + k;
-        x = _mm512_maskz_loadu_ps(left, row);
-        y = _mm512_maskz_loadu_ps(right, row + 16);
-      }
-      const Split split = SplitPairs(_mm512_permutex2var_ps(x, even, y), _mm512_permutex2var_ps(x, odd, y));
-      _mm512_store_si512(to + r * 16, split.hi);
-      _mm512_store_si512(to + kTileWords + r * 16, split.lo);
-    }
-    return;
-  }
-  // Columns of A lie side by side (a_row = 1).
-  const auto rows = __mmask16((1U << std::min<int64_t>(16, args.m - i)) - 1);
-  __m512i hi[16], lo[16];
-  for (int64_t pair = 0; pair < 16; ++pair) {
-    const int64_t at = k + 2 * pair;
-    const float* column = args.a + i + at * args.a_column;
-    const __m512 x = at < k_end ? _mm512_maskz_loadu_ps(rows, column) : _mm512_setzero_ps();
-    const __m512 y = at + 1 < k_end ? _mm512_maskz_loadu_ps(rows, column + args.a_column) : _mm512_setzero_ps();
-    const Split split = SplitPairs(x, y);
-    hi[pair] = split.hi;
-    lo[pair] = split.lo;
-  }
-  Transpose(hi);
-  Transpose(lo);
-  for (int r = 0; r < 16; ++r) {
-    _mm512_store_si512(to + r * 16, hi[r]);
-    _mm512_store_si512(to + kTileWords + r * 16, lo[r]);
+NRFF_AMX_INLINE void Store(const Split& split, uint32_t* to) {
+  _mm512_store_si512(to, split.hi);
+  _mm512_store_si512(to + kTileWords, split.lo);
+}
+
+// 32 neighbouring numbers from x on, zero from end on, as 16 pairs.
+NRFF_AMX_INLINE Split SplitRow(const float* x, const float* end) {
+  const __m512i even = _mm512_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
+  const __m512i odd = _mm512_add_epi32(even, _mm512_set1_epi32(1));
+  const auto n = uint32_t(std::min<int64_t>(kTileDepth, end - x));
+  const uint32_t lanes = n == kTileDepth ? ~0U : (1U << n) - 1;
+  const __m512 left = _mm512_maskz_loadu_ps(__mmask16(lanes), x);
+  const __m512 right = _mm512_maskz_loadu_ps(__mmask16(lanes >> 16), x + 16);
+  return SplitPairs(_mm512_permutex2var_ps(left, even, right), _mm512_permutex2var_ps(left, odd, right));
+}
+
+// The tile of columns k to k + 31 of 16 rows of a matrix, zero from row n_rows and column k_end on; hi, then lo.
+NRFF_AMX_INLINE void PackRows(const float* matrix, int64_t row_length, int64_t n_rows, int64_t k, int64_t k_end,
+                              uint32_t* to) {
+  for (int64_t r = 0; r < kTileRows; ++r) {
+    const float* row = matrix + r * row_length;
+    Store(r < n_rows ? SplitRow(row + k, row + k_end) : Split{_mm512_setzero_si512(), _mm512_setzero_si512()},
+          to + 16 * r);
   }
 }
 
-// Columns j to j + 31 of B as pairs of rows: per 32 rows tile of the left 16 columns hi, lo, of the right 16 hi, lo.
-NRFF_AMX_INLINE void PackPanelOfB(const GemmArgs& args, int64_t j, int64_t k_begin, int64_t k_end, uint32_t* to) {
-  const int64_t n_halves = std::min<int64_t>(2, (args.n - j) / 16);
-  const __m512 zero = _mm512_setzero_ps();
-  for (int64_t k = k_begin; k < k_end; k += kTileDepth, to += 4 * kTileWords) {
-    for (int64_t half = 0; half < 2; ++half) {
-      uint32_t* tile = to + 2 * half * kTileWords;
-      const float* from = args.b + j + 16 * half;
-      for (int64_t pair = 0; pair < 16; ++pair) {
-        const int64_t at = k + 2 * pair;
-        const bool inside = half < n_halves;
-        const __m512 x = inside && at < k_end ? _mm512_loadu_ps(from + at * args.b_row) : zero;
-        const __m512 y = inside && at + 1 < k_end ? _mm512_loadu_ps(from + (at + 1) * args.b_row) : zero;
-        const Split split = SplitPairs(x, y);
-        _mm512_store_si512(tile + pair * 16, split.hi);
-        _mm512_store_si512(tile + kTileWords + pair * 16, split.lo);
-      }
-    }
+// The tile of rows k to k + 31 of 16 columns, in pairs of rows; zero from row k_end and column n_columns on.
+NRFF_AMX_INLINE void PackColumns(const float* matrix, int64_t row_length, int64_t n_columns, int64_t k, int64_t k_end,
+                                 uint32_t* to) {
+  const auto lanes = __mmask16(n_columns >= 16 ? ~0U : (1U << n_columns) - 1);
+  for (int64_t pair = 0; pair < 16; ++pair) {
+    const int64_t at = k + 2 * pair;
+    const float* row = matrix + at * row_length;
+    const __m512 x = at < k_end ? _mm512_maskz_loadu_ps(lanes, row) : _mm512_setzero_ps();
+    const __m512 y = at + 1 < k_end ? _mm512_maskz_loadu_ps(lanes, row + row_length) : _mm512_setzero_ps();
+    Store(SplitPairs(x, y), to + 16 * pair);
+  }
+}
+
+// The tile's rows become its columns, hi and lo.
+NRFF_AMX_INLINE void TransposeTile(uint32_t* tile) {
+  for (int part = 0; part < 2; ++part, tile += kTileWords) {
+    __m512i rows[16];
+    for (int r = 0; r < 16; ++r) rows[r] = _mm512_load_si512(tile + 16 * r);
+    Transpose(rows);
+    for (int r = 0; r < 16; ++r) _mm512_store_si512(tile + 16 * r, rows[r]);
+  }
+}
+
+// Operands are tiles of 16 rows of A by pairs of k, and of 16 pairs of k by columns of B.
+NRFF_AMX_INLINE void PackTileOfA(const GemmArgs& args, int64_t i, int64_t k, int64_t k_end, uint32_t* to) {
+  if (args.a_column == 1) {
+    PackRows(args.a + i * args.a_row, args.a_row, args.m - i, k, k_end, to);
+  } else {
+    PackColumns(args.a + i, args.a_column, args.m - i, k, k_end, to);
+    TransposeTile(to);
+  }
+}
+
+NRFF_AMX_INLINE void PackTileOfB(const GemmArgs& args, bool transposed, int64_t j, int64_t k, int64_t k_end,
+                                 uint32_t* to) {
+  if (transposed) {
+    PackRows(args.b + j * args.b_row, args.b_row, args.n - j, k, k_end, to);
+    TransposeTile(to);
+  } else {
+    PackColumns(args.b + j, args.b_row, args.n - j, k, k_end, to);
   }
 }
 
@@ -206,7 +212,7 @@ NRFF_AMX_INLINE void Finish(const GemmArgs& args, GemmStart start, int64_t i, in
   }
 }
 
-NRFF_AMX_TARGET void Multiply(const GemmArgs& args) {
+NRFF_AMX_TARGET void Multiply(const GemmArgs& args, bool b_transposed) {
   thread_local Words words_of_a, words_of_b;
   TileConfig config;
   for (int t = 0; t < 8; ++t) {
@@ -227,13 +233,18 @@ NRFF_AMX_TARGET void Multiply(const GemmArgs& args) {
       for (int64_t s = 0; s < n_steps; ++s) {
         for (int64_t half = 0; half < 2; ++half) {
           const int64_t i = block * kBlock + half * kTileRows;
-          if (i >= args.m) continue;
+          if (i >= args.m) continue;  // the tile is loaded, not used
           PackTileOfA(args, i, k_begin + s * kTileDepth, k_end, a + block * panel + (4 * s + 2 * half) * kTileWords);
         }
       }
     }
     for (int64_t j = 0; j < args.n; j += kBlock) {
-      PackPanelOfB(args, j, k_begin, k_end, b);
+      for (int64_t s = 0; s < n_steps; ++s) {
+        for (int64_t half = 0; half < 2 && j + half * kTileRows < args.n; ++half) {
+          PackTileOfB(args, b_transposed, j + half * kTileRows, k_begin + s * kTileDepth, k_end,
+                      b + (4 * s + 2 * half) * kTileWords);
+        }
+      }
       for (int64_t block = 0; block < n_blocks; ++block) {
         const int64_t i = block * kBlock;
         MultiplyBlock(a + block * panel, b, n_steps, i + kTileRows < args.m, j + kTileRows < args.n, sums);
@@ -262,12 +273,12 @@ bool AmxAvailable() {
   return kAvailable;
 }
 
-void TileGemmAmx(const GemmArgs& args) { Multiply(args); }
+void TileGemmAmx(const GemmArgs& args, bool b_transposed) { Multiply(args, b_transposed); }
 
 #else
 
 bool AmxAvailable() { return false; }
-void TileGemmAmx(const GemmArgs&) { throw std::logic_error("this build has no AMX"); }
+void TileGemmAmx(const GemmArgs&, bool) { throw std::logic_error("this build has no AMX"); }
 
 #endif
 

@@ -16,6 +16,7 @@ bool AmxAvailable();
 // Products smaller than this are not worth the packing.
 bool AmxPays(const GemmArgs& args);
 
-void TileGemmAmx(const GemmArgs& args);
+// Of TileGemm or TileGemmTransposed.
+void TileGemmAmx(const GemmArgs& args, bool b_transposed);
 
 }  // namespace nrff

@@ -97,7 +97,7 @@ void GemmOfAnyCpu(const GemmArgs& args) { Gemm<4, 2, 4>(args); }
 void TileGemm(const GemmArgs& args) {
   if (args.m == 0 || args.n == 0) return;
   if (AmxAvailable() && AmxPays(args)) {
-    TileGemmAmx(args);
+    TileGemmAmx(args, /*b_transposed=*/false);
     return;
   }
 #ifdef NRFF_CPU_LEVELS
@@ -108,6 +108,18 @@ void TileGemm(const GemmArgs& args) {
 #else
   GemmOfAnyCpu(args);
 #endif
+}
+
+void TileGemmTransposed(const GemmArgs& args, const GemmScratch& scratch) {
+  if (AmxAvailable() && AmxPays(args)) {
+    TileGemmAmx(args, /*b_transposed=*/true);
+    return;
+  }
+  TileTranspose(args.b, args.b_row, args.n, args.k, scratch.values, scratch.row);
+  GemmArgs across = args;
+  across.b = scratch.values;
+  across.b_row = scratch.row;
+  TileGemm(across);
 }
 
 void TileTranspose(const float* from, int64_t from_row, int64_t rows, int64_t columns, float* to, int64_t to_row) {
