@@ -64,7 +64,7 @@ class TrainingStep {
     std::vector<float> density_points, d_density;  // [m, 3], [m]: dL/df of samples that have any
   };
   struct Thread {
-    explicit Thread(const ShadingNetworks& networks) : tile(networks), gradients(networks) {}
+    explicit Thread(const ShadingNetworks& networks) : tile(networks, /*backward=*/true), gradients(networks) {}
     ShadingTile tile;
     ShadingGradients gradients;
     std::vector<float> features, directions, d_weights, d_sigma, d_transmittance;

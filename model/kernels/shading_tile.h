@@ -55,7 +55,8 @@ class ShadingTile {
  public:
   static constexpr int64_t kSamplesMultiple = 16;
 
-  explicit ShadingTile(const ShadingNetworks& networks);
+  // `backward`: whether Backward will be called; without it a tile keeps less.
+  ShadingTile(const ShadingNetworks& networks, bool backward);
 
   // Room for so many samples.
   void Reserve(int64_t n_samples);
@@ -81,7 +82,7 @@ class ShadingTile {
 
  private:
   struct Hidden {
-    int derivative, after;  // first rows, of the activation
+    int after, derivative;  // first rows: of the activation, of its derivative
   };
 
   int AddRows(int n);
@@ -97,6 +98,7 @@ class ShadingTile {
   void BackwardLayer(const LinearLayer& layer, int input, int d_output, int d_input, int64_t n,
                      const ShadingGradients::Layer& gradient);
 
+  bool backward_;
   int n_rows_ = 0;
   int64_t stride_ = 0, offset_ = 0;
   std::vector<float> values_, transposed_;
@@ -104,7 +106,8 @@ class ShadingTile {
   // First rows of what the tile keeps.
   int features_, directions_, spatial_out_, normal_, inverse_norm_, cosine_, reflected_, lobe_raw_, directional_in_,
       specular_, rgb_;
-  int d_rgb_, d_normal_, d_features_, d_spatial_out_, d_reflected_, d_lobe_raw_, d_directional_in_, d_specular_;
+  int d_rgb_ = 0, d_normal_ = 0, d_features_ = 0, d_spatial_out_ = 0, d_reflected_ = 0, d_lobe_raw_ = 0,
+      d_directional_in_ = 0, d_specular_ = 0;  // with backward alone
   int scratch_[2];
   std::vector<Hidden> spatial_hidden_, directional_hidden_;
 };

@@ -21,22 +21,23 @@ int64_t RoundUp(int64_t n, int64_t multiple) { return (n + multiple - 1) / multi
 // Row length of transposed inputs and of weight gradients.
 int64_t PaddedInputs(int n_in) { return RoundUp(n_in, kGemmColumns); }
 
-// before ← activation'(before)
-NRFF_MULTIVERSION void Activate(Activation activation, float* before, int64_t n, float* after) {
+// after may be before.
+NRFF_MULTIVERSION void Activate(Activation activation, const float* before, int64_t n, float* after,
+                                float* derivative) {
   if (activation == Activation::kRelu) {
     NRFF_ROWS_DISTINCT
     for (int64_t s = 0; s < n; ++s) {
       const float x = before[s];
       after[s] = x < 0 ? 0.F : x;  // NaN stays
-      before[s] = x > 0 ? 1.F : 0.F;
+      derivative[s] = x > 0 ? 1.F : 0.F;
     }
   } else {
     NRFF_ROWS_DISTINCT
     for (int64_t s = 0; s < n; ++s) {
-      float gelu, derivative;
-      FastGelu(before[s], gelu, derivative);
+      float gelu, slope;
+      FastGelu(before[s], gelu, slope);
       after[s] = gelu;
-      before[s] = derivative;
+      derivative[s] = slope;
     }
   }
 }
@@ -208,14 +209,14 @@ ShadingGradients::ShadingGradients(const ShadingNetworks& networks) {
 
 void ShadingGradients::Clear() { std::fill(values_.begin(), values_.end(), 0.F); }
 
-ShadingTile::ShadingTile(const ShadingNetworks& networks) {
+ShadingTile::ShadingTile(const ShadingNetworks& networks, bool backward) : backward_(backward) {
   const int n_directional_in = networks.directional.front().n_in, n_lobes = networks.lobes.size();
   const auto add_hidden = [this](const std::vector<LinearLayer>& layers, std::vector<Hidden>& hidden) {
     for (const LinearLayer& layer : layers) {
       widest_ = std::max({widest_, layer.n_in, layer.n_out});
-      if (&layer == &layers.back()) break;
-      const int before = AddRows(layer.n_out);
-      hidden.push_back({before, AddRows(layer.n_out)});
+      if (&layer == &layers.back() || !backward_) continue;
+      const int derivative = AddRows(layer.n_out);
+      hidden.push_back({AddRows(layer.n_out), derivative});
     }
   };
   features_ = AddRows(networks.spatial.front().n_in);
@@ -231,6 +232,16 @@ ShadingTile::ShadingTile(const ShadingNetworks& networks) {
   add_hidden(networks.directional, directional_hidden_);
   specular_ = AddRows(3);
   rgb_ = AddRows(3);
+  for (int& scratch : scratch_) scratch = AddRows(widest_);
+  if (!backward_) {
+    // Nothing is kept, so that the rows stay in the cache.
+    const int derivative = AddRows(1);
+    for (auto [layers, hidden] : {std::pair(&networks.spatial, &spatial_hidden_),
+                                  std::pair(&networks.directional, &directional_hidden_)}) {
+      for (size_t i = 0; i + 1 < layers->size(); ++i) hidden->push_back({scratch_[i % 2], derivative});
+    }
+    return;
+  }
   d_rgb_ = AddRows(3);
   d_normal_ = AddRows(3);
   d_features_ = AddRows(networks.spatial.front().n_in);
@@ -239,7 +250,6 @@ ShadingTile::ShadingTile(const ShadingNetworks& networks) {
   d_lobe_raw_ = AddRows(n_lobes * kLobeParameters);
   d_directional_in_ = AddRows(n_directional_in);
   d_specular_ = AddRows(3);
-  for (int& scratch : scratch_) scratch = AddRows(widest_);
 }
 
 // Row counts are multiples of 4, for TileTranspose.
@@ -256,18 +266,20 @@ void ShadingTile::Reserve(int64_t n_samples) {
   stride_ = stride;
   values_.assign(n_rows_ * stride + kLine, 0.F);
   offset_ = int64_t((64 - reinterpret_cast<uintptr_t>(values_.data()) % 64) % 64 / sizeof(float));
-  transposed_.assign(stride * (PaddedInputs(widest_) + kLine), 0.F);
+  if (backward_) transposed_.assign(stride * (PaddedInputs(widest_) + kLine), 0.F);
 }
 
 void ShadingTile::ForwardNetwork(const std::vector<LinearLayer>& layers, const std::vector<Hidden>& hidden, int input,
                                  int output, Activation activation, int64_t n) {
   for (size_t i = 0; i < layers.size(); ++i) {
     const bool last = i + 1 == layers.size();
-    float* before = Row(last ? output : hidden[i].derivative);
-    ForwardLayer(layers[i], Row(i == 0 ? input : hidden[i - 1].after), n, stride_, before);
+    float* to = Row(last ? output : hidden[i].after);
+    ForwardLayer(layers[i], Row(i == 0 ? input : hidden[i - 1].after), n, stride_, to);
     if (last) break;
-    float* after = Row(hidden[i].after);
-    for (int r = 0; r < layers[i].n_out; ++r) Activate(activation, before + r * stride_, n, after + r * stride_);
+    for (int r = 0; r < layers[i].n_out; ++r) {
+      float* row = to + r * stride_;
+      Activate(activation, row, n, row, Row(hidden[i].derivative + (backward_ ? r : 0)));
+    }
   }
 }
 

@@ -246,13 +246,13 @@ struct Networks {
 void Shading(State& state) {
   const Networks made(state.range(0) != 0);
   constexpr int64_t kSamples = 224;
-  ShadingTile tile(made.networks);
+  const bool backward = state.range(1) != 0;
+  ShadingTile tile(made.networks, backward);
   tile.Reserve(kSamples);
   ShadingGradients gradients(made.networks);
   const auto features = Uniforms(made.networks.spatial.front().n_in * tile.stride(), -1, 1, 1);
   std::copy(features.begin(), features.end(), tile.features());
   std::fill_n(tile.ray_directions() + 2 * tile.stride(), kSamples, 1.F);
-  const bool backward = state.range(1) != 0;
   tile.Forward(made.networks, kSamples);
   for (auto _ : state) {
     if (!backward) {
