@@ -52,7 +52,7 @@ class TileRenderer {
         .n_rays = n, .cameras = &camera_, .pixels = pixels_, .origins = origins_, .directions = directions_});
     args_.n_rays = n;
     block_.Trace(field_, args_, 0, n, static_cast<float>(options_.stop_transmittance));
-    block_.Select(static_cast<float>(options_.weight_threshold));
+    block_.Select(static_cast<float>(options_.weight_threshold), static_cast<float>(options_.unshaded_weight));
     Shade();
     for (int64_t r = 0; r < n; ++r) {
       const int64_t pixel = int64_t{pixels_[3 * r + 2]} * view_.width + pixels_[3 * r + 1];
@@ -79,17 +79,19 @@ class TileRenderer {
 
   void Composite(int64_t r, int64_t pixel, RenderedImage& image) const {
     const float behind = block_.transmittance[r];
-    float rgb[3] = {}, normal[3] = {}, depth = 0;
+    float rgb[3] = {}, normal[3] = {}, depth = 0, shaded = 0;
     for (int64_t i = block_.shaded_offsets[r]; i < block_.shaded_offsets[r + 1]; ++i) {
       const float weight = block_.weights[block_.shaded[i]];
+      shaded += weight;
       for (int c = 0; c < 3; ++c) {
         rgb[c] += weight * rgb_[3 * i + c];
         normal[c] += weight * normals_[3 * i + c];
       }
     }
     for (int64_t i = block_.offsets[r]; i < block_.offsets[r + 1]; ++i) depth += block_.weights[i] * block_.t[i];
+    const float with_unshaded = shaded > 0 ? 1 + block_.unshaded[r] / shaded : 1;
     for (int c = 0; c < 3; ++c) {
-      image.rgb[3 * pixel + c] = rgb[c] + behind * static_cast<float>(options_.background);
+      image.rgb[3 * pixel + c] = with_unshaded * rgb[c] + behind * static_cast<float>(options_.background);
       image.normal[3 * pixel + c] = normal[c];
     }
     image.depth[pixel] = depth;

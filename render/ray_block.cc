@@ -97,13 +97,30 @@ void RayBlock::Trace(const RadianceField& field, const MarchArgs<float>& args, i
   for (int64_t r = 0; r < n; ++r) WeightsForwardRay(weights_args, r);
 }
 
-void RayBlock::Select(float threshold) {
+void RayBlock::Select(float threshold, float left_out) {
   shaded_offsets.resize(n_rays + 1);
   shaded_offsets[0] = 0;
   shaded.clear();
+  unshaded.assign(n_rays, 0.F);
   for (int64_t r = 0; r < n_rays; ++r) {
+    float least = threshold;
+    if (left_out > 0) {
+      ordered_.clear();
+      for (int64_t i = offsets[r]; i < offsets[r + 1]; ++i) {
+        if (weights[i] > threshold) ordered_.push_back(weights[i]);
+      }
+      std::sort(ordered_.begin(), ordered_.end());
+      float sum = 0;
+      for (size_t i = 0; i < ordered_.size(); ++i) {
+        sum += ordered_[i];
+        if (sum > left_out) break;
+        if (i + 1 < ordered_.size() && ordered_[i + 1] == ordered_[i]) continue;  // equal ones go together
+        least = ordered_[i];
+        unshaded[r] = sum;
+      }
+    }
     for (int64_t i = offsets[r]; i < offsets[r + 1]; ++i) {
-      if (weights[i] > threshold) shaded.push_back(i);
+      if (weights[i] > least) shaded.push_back(i);
     }
     shaded_offsets[r + 1] = static_cast<int64_t>(shaded.size());
   }

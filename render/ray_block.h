@@ -34,9 +34,11 @@ class RayBlock {
   int64_t n_evaluated = 0;            // densities, those behind the stop included
 
   // Samples of weight > threshold, in order: `shaded` are indices into the samples, those of ray r
-  // shaded_offsets[r] … shaded_offsets[r + 1] − 1.
-  void Select(float threshold);
+  // shaded_offsets[r] … shaded_offsets[r + 1] − 1. Of these, those of least weight are left out as long as a ray's
+  // weights left out sum to at most `left_out`; unshaded[r] is that sum.
+  void Select(float threshold, float left_out = 0);
   std::vector<int64_t> shaded_offsets, shaded;
+  std::vector<float> unshaded;  // [n_rays]
 
  private:
   struct Ray {
@@ -48,6 +50,7 @@ class RayBlock {
   std::vector<Ray> rays_;
   // Of one round, and of all in the order in which they were taken.
   std::vector<int> round_ray_, taken_ray_;
+  std::vector<float> ordered_;
   std::vector<float> round_t_, round_points_, round_sigma_, taken_t_, taken_points_, taken_sigma_;
 };
 

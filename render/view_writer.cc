@@ -85,6 +85,9 @@ RenderFacts RenderViews(const RenderSource& source, const std::vector<View>& vie
   std::filesystem::create_directories(dir / "done");
   const double depth_range = DepthRange(source);
 
+  RenderOptions options = source.options;
+  options.unshaded_weight = kUnshadedWeight;
+
   Progress progress("rendering", static_cast<double>(views.size()), "views");
   RenderFacts facts;
   double seconds = 0, n_samples = 0, n_rays = 0;
@@ -98,7 +101,7 @@ RenderFacts RenderViews(const RenderSource& source, const std::vector<View>& vie
       ++facts.n_kept;
     } else {
       const auto start = std::chrono::steady_clock::now();
-      const RenderedImage image = RenderImage(source.field, source.occupancy, source.map, view, source.options,
+      const RenderedImage image = RenderImage(source.field, source.occupancy, source.map, view, options,
                                               [&](int64_t n) { progress.Update(facts.n_views + n / n_view_rays); });
       record.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
       record.n_samples = static_cast<double>(image.n_samples);

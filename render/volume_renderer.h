@@ -34,6 +34,9 @@ struct RenderOptions {
   double step = 0.01;              // marching step = delta of every sample: scene units; contracted units if unbounded
   double near = 0.05, far = 6;     // scene units along the ray
   double weight_threshold = 1e-4;  // samples with w ≤ this are not shaded: colour error ≤ Σ of the weights left out
+  // RenderImage alone: of the samples above the threshold, those of least weight are not shaded as long as their weights
+  // on a ray sum to at most this. They take the mean colour of the others: the error is at most this, mostly far less.
+  double unshaded_weight = 0;
   double stop_transmittance = 1e-4;  // a ray ends when T falls below; exact for the set w > threshold when ≤ it
   double background = 1;             // grey level behind everything
   // Jitter of the first sample of every ray, from the stream (seed, jitter_purpose at counter); none when not given.

@@ -273,6 +273,14 @@ TEST(RenderImageTest, IsTheRaysOfItsPixels) {
     for (int c = 0; c < 3; ++c) ASSERT_NEAR(image.rgb[3 * i + c], expected.rgb[i][c].item<float>(), 1e-5) << i;
     ASSERT_NEAR(image.opacity[i], expected.opacity[i].item<float>(), 1e-5) << i;
   }
+  options.unshaded_weight = 0.02;
+  const RenderedImage fewer = RenderImage(ball, occupancy, SceneMap{}, view, options);
+  EXPECT_LT(fewer.n_shaded, image.n_shaded);
+  float most = 0;
+  for (size_t i = 0; i < image.rgb.size(); ++i) most = std::max(most, std::abs(fewer.rgb[i] - image.rgb[i]));
+  EXPECT_GT(most, 0);
+  EXPECT_LE(most, 0.02 + 1e-5);
+  EXPECT_EQ(fewer.opacity, image.opacity);
 }
 
 TEST(RenderRaysTest, UnusableOptionsAreInputErrors) {

@@ -173,8 +173,11 @@ class Bench {
     model_->occupancy.Update(*model_->field, options);
   }
 
+  // As nrff-render does.
   RenderedImage Render() const {
-    return RenderImage(*model_->field, model_->occupancy, model_->map, view_, options_);
+    RenderOptions options = options_;
+    options.unshaded_weight = kUnshadedWeight;
+    return RenderImage(*model_->field, model_->occupancy, model_->map, view_, options);
   }
 
   const TrainConfig config_;  // the paper's
