@@ -199,6 +199,7 @@ class TileShader : public RadianceField::Shader {
  public:
   explicit TileShader(const NrffField& field) : field_(field), networks_(field.Networks()), tile_(networks_, /*backward=*/false) {
     tile_.Reserve(kMostAtOnce);
+    packed_.Pack(networks_, /*backward=*/false);
   }
 
   void Shade(const float* points, const float* ray_directions, int64_t n, float* rgb, float* normals) override {
@@ -219,6 +220,7 @@ class TileShader : public RadianceField::Shader {
   static constexpr int64_t kMostAtOnce = 256;
   const NrffField& field_;
   ShadingNetworks networks_;
+  PackedNetworks packed_;
   ShadingTile tile_;
   std::vector<float> features_;
 };

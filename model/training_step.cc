@@ -81,6 +81,7 @@ TrainingStep::Result TrainingStep::Run(const PixelSource::Batch& pixels, const D
   if (int64_t(blocks_.size()) < n_blocks) blocks_.resize(n_blocks);
   while (int(threads_.size()) < omp_get_max_threads()) threads_.push_back(std::make_unique<Thread>(networks_));
   Result result;
+  packed_.Pack(networks_, /*backward=*/true);
 
 #pragma omp parallel
   {

@@ -82,6 +82,7 @@ class TrainingStep {
 
   const NrffField& field_;
   ShadingNetworks networks_;
+  PackedNetworks packed_;
   std::vector<torch::Tensor> gradients_;
   std::vector<std::unique_ptr<Thread>> threads_;
   int n_team_ = 0;  // of them took part in this step

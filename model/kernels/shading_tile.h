@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "model/kernels/ree.h"
+#include "model/kernels/tile_gemm.h"
 
 namespace nrff {
 
@@ -21,6 +22,7 @@ struct LinearLayer {
   int n_in = 0, n_out = 0;
   const float* weight = nullptr;
   const float* bias = nullptr;
+  const PackedOperand *packed = nullptr, *packed_transposed = nullptr;  // of weight (PackedNetworks), or null
 };
 
 struct ShadingNetworks {
@@ -29,6 +31,17 @@ struct ShadingNetworks {
   Lobes lobes;
   int bottleneck_width = 0;
   Activation activation = Activation::kRelu;
+};
+
+// The weights made ready for the products of many tiles.
+class PackedNetworks {
+ public:
+  // Points networks' layers to what it packs, which is theirs as long as the weights keep their values and this lives.
+  // `backward`: also for Backward.
+  void Pack(ShadingNetworks& networks, bool backward);
+
+ private:
+  std::vector<PackedOperand> weights_;
 };
 
 // Sums of a thread's gradients of all layers' weights and biases. Rows of weights are padded.

@@ -182,6 +182,7 @@ void ForwardLayer(const LinearLayer& layer, const float* input, int64_t n, int64
             .a = layer.weight,
             .a_row = layer.n_in,
             .a_column = 1,
+            .packed_a = layer.packed,
             .b = input,
             .b_row = stride,
             .c = output,
@@ -191,6 +192,23 @@ void ForwardLayer(const LinearLayer& layer, const float* input, int64_t n, int64
 }
 
 }  // namespace
+
+void PackedNetworks::Pack(ShadingNetworks& networks, bool backward) {
+  std::vector<LinearLayer*> layers;
+  for (LinearLayer& layer : networks.spatial) layers.push_back(&layer);
+  layers.push_back(&networks.lobe_layer);
+  for (LinearLayer& layer : networks.directional) layers.push_back(&layer);
+  weights_.resize(2 * layers.size());
+  for (size_t l = 0; l < layers.size(); ++l) {
+    LinearLayer& layer = *layers[l];
+    weights_[2 * l].Pack(layer.n_out, layer.n_in, layer.weight, layer.n_in, 1);
+    layer.packed = &weights_[2 * l];
+    layer.packed_transposed = nullptr;
+    if (!backward) continue;
+    weights_[2 * l + 1].Pack(layer.n_in, layer.n_out, layer.weight, 1, layer.n_in);
+    layer.packed_transposed = &weights_[2 * l + 1];
+  }
+}
 
 ShadingGradients::ShadingGradients(const ShadingNetworks& networks) {
   std::vector<LinearLayer> layers = networks.spatial;
@@ -330,6 +348,7 @@ void ShadingTile::BackwardLayer(const LinearLayer& layer, int input, int d_outpu
             .a = layer.weight,
             .a_row = 1,
             .a_column = layer.n_in,
+            .packed_a = layer.packed_transposed,
             .b = Row(d_output),
             .b_row = stride_,
             .c = Row(d_input),

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 
 namespace nrff {
 
@@ -10,12 +11,39 @@ inline constexpr int64_t kGemmColumns = 16;
 
 enum class GemmStart { kZero, kBias, kSum };
 
+// 32-bit words that grow and start at a cache line; what was in them is lost.
+class AlignedWords {
+ public:
+  uint32_t* Reserve(int64_t n);
+  const uint32_t* data() const { return words_.get(); }
+
+ private:
+  struct Free {
+    void operator()(uint32_t* words) const;
+  };
+  std::unique_ptr<uint32_t, Free> words_;
+  int64_t n_ = 0;
+};
+
+// A of many products, made ready for them once. Empty where that saves nothing.
+class PackedOperand {
+ public:
+  // As GemmArgs.
+  void Pack(int64_t m, int64_t k, const float* a, int64_t a_row, int64_t a_column);
+  const uint32_t* words() const { return packed_ ? words_.data() : nullptr; }
+
+ private:
+  AlignedWords words_;
+  bool packed_ = false;
+};
+
 // C[i][j] = start + Σ_k A(i, k) B[k][j], for i < m, j < n; k in ascending order.
 // start: 0, bias[i], or C[i][j] as it was. n is a multiple of kGemmColumns.
 struct GemmArgs {
   int64_t m = 0, n = 0, k = 0;
   const float* a = nullptr;  // A(i, k) = a[i · a_row + k · a_column]
   int64_t a_row = 0, a_column = 0;
+  const PackedOperand* packed_a = nullptr;  // of a, or null
   const float* b = nullptr;  // B[k][j] = b[k · b_row + j]
   int64_t b_row = 0;
   float* c = nullptr;  // C[i][j] = c[i · c_row + j]; overlaps neither a nor b

@@ -1,8 +1,6 @@
 #include "model/kernels/tile_gemm_amx.h"
 
 #include <algorithm>
-#include <cstring>
-#include <memory>
 #include <stdexcept>
 
 #include "model/kernels/simd.h"
@@ -37,25 +35,6 @@ struct alignas(64) TileConfig {
   uint8_t palette = 1, start_row = 0, reserved[14] = {};
   uint16_t column_bytes[16] = {};
   uint8_t rows[16] = {};
-};
-
-// 32-bit words that grow and are aligned to cache lines.
-class Words {
- public:
-  uint32_t* Reserve(int64_t n) {
-    if (n > n_) {
-      words_.reset(static_cast<uint32_t*>(::operator new(n * sizeof(uint32_t), std::align_val_t{64})));
-      n_ = n;
-    }
-    return words_.get();
-  }
-
- private:
-  struct Free {
-    void operator()(uint32_t* p) const { ::operator delete(p, std::align_val_t{64}); }
-  };
-  std::unique_ptr<uint32_t, Free> words_;
-  int64_t n_ = 0;
 };
 
 struct Split {
@@ -212,8 +191,23 @@ NRFF_AMX_INLINE void Finish(const GemmArgs& args, GemmStart start, int64_t i, in
   }
 }
 
+int64_t StepsOf(int64_t depth) { return RoundUp(depth, kTileDepth) / kTileDepth; }
+
+// Rows of A in blocks of 32: a panel of tiles each.
+NRFF_AMX_TARGET uint32_t* PackA(const GemmArgs& args, int64_t k_begin, int64_t k_end, AlignedWords& words) {
+  const int64_t n_steps = StepsOf(k_end - k_begin), panel = n_steps * 4 * kTileWords;
+  uint32_t* a = words.Reserve(RoundUp(args.m, kBlock) / kBlock * panel);
+  for (int64_t i = 0; i < args.m; i += kTileRows) {
+    uint32_t* to = a + i / kBlock * panel + i % kBlock / kTileRows * 2 * kTileWords;
+    for (int64_t s = 0; s < n_steps; ++s) {
+      PackTileOfA(args, i, k_begin + s * kTileDepth, k_end, to + 4 * s * kTileWords);
+    }
+  }
+  return a;
+}
+
 NRFF_AMX_TARGET void Multiply(const GemmArgs& args, bool b_transposed) {
-  thread_local Words words_of_a, words_of_b;
+  thread_local AlignedWords words_of_a, words_of_b;
   TileConfig config;
   for (int t = 0; t < 8; ++t) {
     config.column_bytes[t] = 64;
@@ -221,23 +215,13 @@ NRFF_AMX_TARGET void Multiply(const GemmArgs& args, bool b_transposed) {
   }
   _tile_loadconfig(&config);
   alignas(64) float sums[kBlock * kBlock];
-  const int64_t n_blocks = RoundUp(args.m, kBlock) / kBlock;
+  const uint32_t* packed = args.packed_a != nullptr ? args.packed_a->words() : nullptr;
   for (int64_t k_begin = 0; k_begin < args.k; k_begin += kDepth) {
     const int64_t k_end = std::min(args.k, k_begin + kDepth);
     const GemmStart start = k_begin == 0 ? args.start : GemmStart::kSum;
-    const int64_t n_steps = RoundUp(k_end - k_begin, kTileDepth) / kTileDepth;
-    const int64_t panel = n_steps * 4 * kTileWords;
-    uint32_t* a = words_of_a.Reserve(n_blocks * panel);
+    const int64_t n_steps = StepsOf(k_end - k_begin), panel = n_steps * 4 * kTileWords;
+    const uint32_t* a = packed != nullptr ? packed : PackA(args, k_begin, k_end, words_of_a);
     uint32_t* b = words_of_b.Reserve(panel);
-    for (int64_t block = 0; block < n_blocks; ++block) {
-      for (int64_t s = 0; s < n_steps; ++s) {
-        for (int64_t half = 0; half < 2; ++half) {
-          const int64_t i = block * kBlock + half * kTileRows;
-          if (i >= args.m) continue;  // the tile is loaded, not used
-          PackTileOfA(args, i, k_begin + s * kTileDepth, k_end, a + block * panel + (4 * s + 2 * half) * kTileWords);
-        }
-      }
-    }
     for (int64_t j = 0; j < args.n; j += kBlock) {
       for (int64_t s = 0; s < n_steps; ++s) {
         for (int64_t half = 0; half < 2 && j + half * kTileRows < args.n; ++half) {
@@ -245,9 +229,9 @@ NRFF_AMX_TARGET void Multiply(const GemmArgs& args, bool b_transposed) {
                       b + (4 * s + 2 * half) * kTileWords);
         }
       }
-      for (int64_t block = 0; block < n_blocks; ++block) {
-        const int64_t i = block * kBlock;
-        MultiplyBlock(a + block * panel, b, n_steps, i + kTileRows < args.m, j + kTileRows < args.n, sums);
+      // Tiles beyond m and n are loaded, but not used.
+      for (int64_t i = 0; i < args.m; i += kBlock) {
+        MultiplyBlock(a + i / kBlock * panel, b, n_steps, i + kTileRows < args.m, j + kTileRows < args.n, sums);
         Finish(args, start, i, j, sums);
       }
     }
@@ -273,11 +257,15 @@ bool AmxAvailable() {
   return kAvailable;
 }
 
+bool AmxCanPack(const GemmArgs& args) { return AmxAvailable() && AmxPays(args) && args.k <= kDepth; }
+void AmxPack(const GemmArgs& args, AlignedWords& words) { PackA(args, 0, args.k, words); }
 void TileGemmAmx(const GemmArgs& args, bool b_transposed) { Multiply(args, b_transposed); }
 
 #else
 
 bool AmxAvailable() { return false; }
+bool AmxCanPack(const GemmArgs&) { return false; }
+void AmxPack(const GemmArgs&, AlignedWords&) { throw std::logic_error("this build has no AMX"); }
 void TileGemmAmx(const GemmArgs&, bool) { throw std::logic_error("this build has no AMX"); }
 
 #endif

@@ -16,6 +16,10 @@ bool AmxAvailable();
 // Products smaller than this are not worth the packing.
 bool AmxPays(const GemmArgs& args);
 
+// A's part of a product (m, k, a, a_row, a_column) made ready. AmxCanPack: whether that can be used.
+bool AmxCanPack(const GemmArgs& args);
+void AmxPack(const GemmArgs& args, AlignedWords& words);
+
 // Of TileGemm or TileGemmTransposed.
 void TileGemmAmx(const GemmArgs& args, bool b_transposed);
 

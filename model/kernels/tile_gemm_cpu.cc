@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cstring>
+#include <new>
 
 #include "model/kernels/simd.h"
 #include "model/kernels/tile_gemm.h"
@@ -93,6 +94,22 @@ __attribute__((target("arch=x86-64-v3"))) void GemmOfLevel3(const GemmArgs& args
 void GemmOfAnyCpu(const GemmArgs& args) { Gemm<4, 2, 4>(args); }
 
 }  // namespace
+
+uint32_t* AlignedWords::Reserve(int64_t n) {
+  if (n > n_) {
+    words_.reset(static_cast<uint32_t*>(::operator new(n * sizeof(uint32_t), std::align_val_t{64})));
+    n_ = n;
+  }
+  return words_.get();
+}
+
+void AlignedWords::Free::operator()(uint32_t* words) const { ::operator delete(words, std::align_val_t{64}); }
+
+void PackedOperand::Pack(int64_t m, int64_t k, const float* a, int64_t a_row, int64_t a_column) {
+  const GemmArgs args{.m = m, .k = k, .a = a, .a_row = a_row, .a_column = a_column};
+  packed_ = AmxCanPack(args);
+  if (packed_) AmxPack(args, words_);
+}
 
 void TileGemm(const GemmArgs& args) {
   if (args.m == 0 || args.n == 0) return;

@@ -244,7 +244,9 @@ struct Networks {
 };
 
 void Shading(State& state) {
-  const Networks made(state.range(0) != 0);
+  Networks made(state.range(0) != 0);
+  PackedNetworks packed;
+  packed.Pack(made.networks, true);
   constexpr int64_t kSamples = 224;
   const bool backward = state.range(1) != 0;
   ShadingTile tile(made.networks, backward);

@@ -83,6 +83,7 @@ class Bench {
     const Rays rays = RaysThroughPixels({view_}, pixels, torch::kFloat);
     add("view/origins", rays.origins);
     add("view/directions", rays.directions);
+    SetOccupancy();
     const RenderedImage image = Render();
     tensors.push_back({"view/rgb", DType::kF32, {view_.height, view_.width, 3}, image.rgb.data()});
 
