@@ -197,7 +197,8 @@ namespace {
 
 class TileShader : public RadianceField::Shader {
  public:
-  explicit TileShader(const NrffField& field) : field_(field), networks_(field.Networks()), tile_(networks_, /*backward=*/false) {
+  explicit TileShader(const NrffField& field)
+      : field_(field), networks_(field.Networks()), tile_(networks_, /*backward=*/false) {
     tile_.Reserve(kMostAtOnce);
     packed_.Pack(networks_, /*backward=*/false);
   }

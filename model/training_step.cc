@@ -70,7 +70,8 @@ TrainingStep::Result TrainingStep::Run(const PixelSource::Batch& pixels, const D
                                        const OccupancyGrid& occupancy, const SceneMap& map,
                                        const RenderOptions& options, const LossWeights& weights) {
   CheckOptions(options);
-  Batch batch{.pixels = pixels, .depths = depths, .march = {}, .depth_march = {}, .options = options, .weights = weights};
+  Batch batch{
+      .pixels = pixels, .depths = depths, .march = {}, .depth_march = {}, .options = options, .weights = weights};
   batch.march = March(pixels.rays, occupancy, map, options, RandomStream::kRayJitter);
   batch.n_rays = batch.march.n_rays;
   if (depths != nullptr) {

@@ -58,9 +58,9 @@ class TrainingStep {
   struct Tile {
     int block = 0;
     int64_t first_ray = 0, end_ray = 0;
-    bool depth = false;             // of rays that should end somewhere, not of rays with a colour
-    std::vector<float> points;      // [n, 3] of the shaded samples
-    std::vector<float> d_features;  // [n_products][n][C]
+    bool depth = false;                            // of rays that should end somewhere, not of rays with a colour
+    std::vector<float> points;                     // [n, 3] of the shaded samples
+    std::vector<float> d_features;                 // [n_products][n][C]
     std::vector<float> density_points, d_density;  // [m, 3], [m]: dL/df of samples that have any
   };
   struct Thread {

@@ -10,7 +10,7 @@
 namespace nrff {
 namespace {
 
-constexpr int kFewestPerRay = 2;     // samples of a ray in a round
+constexpr int kFewestPerRay = 2;       // samples of a ray in a round
 constexpr int kSamplesPerRound = 128;  // about what the field's kernels work on at once
 
 }  // namespace

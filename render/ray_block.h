@@ -28,10 +28,10 @@ class RayBlock {
   int64_t n_rays = 0;
   std::vector<int64_t> offsets;  // [n_rays + 1]
   std::vector<float> t, sigma, weights, delta;
-  std::vector<float> points;          // [n, 3] field coordinates
-  std::vector<float> transmittance;   // [n_rays] behind the last sample
-  std::vector<int64_t> n_reached;     // [n_rays]
-  int64_t n_evaluated = 0;            // densities, those behind the stop included
+  std::vector<float> points;         // [n, 3] field coordinates
+  std::vector<float> transmittance;  // [n_rays] behind the last sample
+  std::vector<int64_t> n_reached;    // [n_rays]
+  int64_t n_evaluated = 0;           // densities, those behind the stop included
 
   // Samples of weight > threshold, in order: `shaded` are indices into the samples, those of ray r
   // shaded_offsets[r] … shaded_offsets[r + 1] − 1. Of these, those of least weight are left out as long as a ray's

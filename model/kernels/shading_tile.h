@@ -76,8 +76,8 @@ class ShadingTile {
   int64_t stride() const { return stride_; }
 
   // Inputs of Forward, of n samples; rows up to the next multiple of kSamplesMultiple must hold finite numbers.
-  float* features() { return Row(features_); }           // rows: the appearance grid's features
-  float* ray_directions() { return Row(directions_); }   // 3 rows, unit
+  float* features() { return Row(features_); }          // rows: the appearance grid's features
+  float* ray_directions() { return Row(directions_); }  // 3 rows, unit
   // Outputs of Forward.
   const float* rgb() const { return Row(rgb_); }         // 3 rows
   const float* normals() const { return Row(normal_); }  // 3 rows
@@ -106,8 +106,7 @@ class ShadingTile {
                       Activation activation, int64_t n);
   // d_output → d_input, by way of the rows scratch_[0] and scratch_[1].
   void BackwardNetwork(const std::vector<LinearLayer>& layers, const std::vector<Hidden>& hidden, int input,
-                       int d_output, int d_input, int64_t n,
-                       std::span<const ShadingGradients::Layer> gradients);
+                       int d_output, int d_input, int64_t n, std::span<const ShadingGradients::Layer> gradients);
   void BackwardLayer(const LinearLayer& layer, int input, int d_output, int d_input, int64_t n,
                      const ShadingGradients::Layer& gradient);
 

@@ -254,8 +254,8 @@ ShadingTile::ShadingTile(const ShadingNetworks& networks, bool backward) : backw
   if (!backward_) {
     // Nothing is kept, so that the rows stay in the cache.
     const int derivative = AddRows(1);
-    for (auto [layers, hidden] : {std::pair(&networks.spatial, &spatial_hidden_),
-                                  std::pair(&networks.directional, &directional_hidden_)}) {
+    for (auto [layers, hidden] :
+         {std::pair(&networks.spatial, &spatial_hidden_), std::pair(&networks.directional, &directional_hidden_)}) {
       for (size_t i = 0; i + 1 < layers->size(); ++i) hidden->push_back({scratch_[i % 2], derivative});
     }
     return;

@@ -44,7 +44,7 @@ struct GemmArgs {
   const float* a = nullptr;  // A(i, k) = a[i · a_row + k · a_column]
   int64_t a_row = 0, a_column = 0;
   const PackedOperand* packed_a = nullptr;  // of a, or null
-  const float* b = nullptr;  // B[k][j] = b[k · b_row + j]
+  const float* b = nullptr;                 // B[k][j] = b[k · b_row + j]
   int64_t b_row = 0;
   float* c = nullptr;  // C[i][j] = c[i · c_row + j]; overlaps neither a nor b
   int64_t c_row = 0;

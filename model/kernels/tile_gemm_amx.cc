@@ -26,8 +26,8 @@ namespace {
 
 // A register tile has 16 rows of 16 pairs of bf16 (operands) or of 16 floats (sums). Blocks of C are 2 × 2 of them.
 constexpr int64_t kTileRows = 16, kTileDepth = 32, kBlock = 32;
-constexpr int64_t kTileWords = 256;      // 32-bit
-constexpr int64_t kDepth = 512;          // inner products are cut to this, so that a panel of B stays near
+constexpr int64_t kTileWords = 256;  // 32-bit
+constexpr int64_t kDepth = 512;      // inner products are cut to this, so that a panel of B stays near
 
 int64_t RoundUp(int64_t n, int64_t multiple) { return (n + multiple - 1) / multiple * multiple; }
 

@@ -97,13 +97,13 @@ void GemmOfAnyCpu(const GemmArgs& args) { Gemm<4, 2, 4>(args); }
 
 uint32_t* AlignedWords::Reserve(int64_t n) {
   if (n > n_) {
-    words_.reset(static_cast<uint32_t*>(::operator new(n * sizeof(uint32_t), std::align_val_t{64})));
+    words_.reset(static_cast<uint32_t*>(::operator new (n * sizeof(uint32_t), std::align_val_t{64})));
     n_ = n;
   }
   return words_.get();
 }
 
-void AlignedWords::Free::operator()(uint32_t* words) const { ::operator delete(words, std::align_val_t{64}); }
+void AlignedWords::Free::operator()(uint32_t* words) const { ::operator delete (words, std::align_val_t{64}); }
 
 void PackedOperand::Pack(int64_t m, int64_t k, const float* a, int64_t a_row, int64_t a_column) {
   const GemmArgs args{.m = m, .k = k, .a = a, .a_row = a_row, .a_column = a_column};
@@ -149,10 +149,9 @@ void TileTranspose(const float* from, int64_t from_row, int64_t rows, int64_t co
       const V low23 = __builtin_shufflevector(a[2], a[3], 0, 4, 1, 5);
       const V high01 = __builtin_shufflevector(a[0], a[1], 2, 6, 3, 7);
       const V high23 = __builtin_shufflevector(a[2], a[3], 2, 6, 3, 7);
-      const V columns_of[4] = {__builtin_shufflevector(low01, low23, 0, 1, 4, 5),
-                               __builtin_shufflevector(low01, low23, 2, 3, 6, 7),
-                               __builtin_shufflevector(high01, high23, 0, 1, 4, 5),
-                               __builtin_shufflevector(high01, high23, 2, 3, 6, 7)};
+      const V columns_of[4] = {
+          __builtin_shufflevector(low01, low23, 0, 1, 4, 5), __builtin_shufflevector(low01, low23, 2, 3, 6, 7),
+          __builtin_shufflevector(high01, high23, 0, 1, 4, 5), __builtin_shufflevector(high01, high23, 2, 3, 6, 7)};
       for (int r = 0; r < 4; ++r) std::memcpy(to + (j + r) * to_row + i, &columns_of[r], sizeof(V));
     }
   }

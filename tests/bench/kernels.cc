@@ -56,8 +56,17 @@ double PeakFlops() {
     constexpr int kTimes = 4000;
     return BestRate(2. * 6 * 64 * 128 * kTimes, [&] {
       for (int i = 0; i < kTimes; ++i) {
-        TileGemm({.m = 6, .n = 64, .k = 128, .a = a.data(), .a_row = 128, .a_column = 1, .b = b.data(), .b_row = 64,
-                  .c = c.data(), .c_row = 64, .start = GemmStart::kZero});
+        TileGemm({.m = 6,
+                  .n = 64,
+                  .k = 128,
+                  .a = a.data(),
+                  .a_row = 128,
+                  .a_column = 1,
+                  .b = b.data(),
+                  .b_row = 64,
+                  .c = c.data(),
+                  .c_row = 64,
+                  .start = GemmStart::kZero});
         benchmark::DoNotOptimize(c.data());
       }
     });
@@ -116,8 +125,8 @@ std::vector<float> PointsOnRays(int64_t n) {
   for (int64_t i = 0; i < n; ++i) {
     const auto ray = uint64_t(i / 6);
     for (int k = 0; k < 3; ++k) {
-      points[3 * i + k] = 1.2F * (Uniform(1, 3, 3 * ray + k) - 0.5F) +
-                          float(i % 6) / 96 * (2 * Uniform(1, 4, 3 * ray + k) - 1);
+      points[3 * i + k] =
+          1.2F * (Uniform(1, 3, 3 * ray + k) - 0.5F) + float(i % 6) / 96 * (2 * Uniform(1, 4, 3 * ray + k) - 1);
     }
   }
   return points;
@@ -179,11 +188,22 @@ void AppearanceGridBackward(State& state) {
 // One layer: forward, the input's gradient, the weight's gradient with the transpose it needs.
 void LinearForward(State& state) {
   const int64_t n_in = state.range(0), n_out = state.range(1), n = 224, row = n + 16;
-  const auto weight = Uniforms(n_out * n_in, -1, 1, 1), x = Uniforms(n_in * row, -1, 1, 2), bias = Uniforms(n_out, 0, 1, 3);
+  const auto weight = Uniforms(n_out * n_in, -1, 1, 1), x = Uniforms(n_in * row, -1, 1, 2),
+             bias = Uniforms(n_out, 0, 1, 3);
   std::vector<float> y(n_out * row);
   for (auto _ : state) {
-    TileGemm({.m = n_out, .n = n, .k = n_in, .a = weight.data(), .a_row = n_in, .a_column = 1, .b = x.data(),
-              .b_row = row, .c = y.data(), .c_row = row, .start = GemmStart::kBias, .bias = bias.data()});
+    TileGemm({.m = n_out,
+              .n = n,
+              .k = n_in,
+              .a = weight.data(),
+              .a_row = n_in,
+              .a_column = 1,
+              .b = x.data(),
+              .b_row = row,
+              .c = y.data(),
+              .c_row = row,
+              .start = GemmStart::kBias,
+              .bias = bias.data()});
   }
   Report(state, n, 2. * double(n_in * n_out * n), 0, PeakFlops());
 }
@@ -193,8 +213,16 @@ void LinearBackwardInput(State& state) {
   const auto weight = Uniforms(n_out * n_in, -1, 1, 1), d_y = Uniforms(n_out * row, -1, 1, 2);
   std::vector<float> d_x(n_in * row);
   for (auto _ : state) {
-    TileGemm({.m = n_in, .n = n, .k = n_out, .a = weight.data(), .a_row = 1, .a_column = n_in, .b = d_y.data(),
-              .b_row = row, .c = d_x.data(), .c_row = row});
+    TileGemm({.m = n_in,
+              .n = n,
+              .k = n_out,
+              .a = weight.data(),
+              .a_row = 1,
+              .a_column = n_in,
+              .b = d_y.data(),
+              .b_row = row,
+              .c = d_x.data(),
+              .c_row = row});
   }
   Report(state, n, 2. * double(n_in * n_out * n), 0, PeakFlops());
 }
@@ -206,8 +234,17 @@ void LinearBackwardWeight(State& state) {
   std::vector<float> transposed(n * across), d_weight(n_out * padded);
   for (auto _ : state) {
     TileTranspose(x.data(), row, (n_in + 3) / 4 * 4, n, transposed.data(), across);
-    TileGemm({.m = n_out, .n = padded, .k = n, .a = d_y.data(), .a_row = row, .a_column = 1, .b = transposed.data(),
-              .b_row = across, .c = d_weight.data(), .c_row = padded, .start = GemmStart::kSum});
+    TileGemm({.m = n_out,
+              .n = padded,
+              .k = n,
+              .a = d_y.data(),
+              .a_row = row,
+              .a_column = 1,
+              .b = transposed.data(),
+              .b_row = across,
+              .c = d_weight.data(),
+              .c_row = padded,
+              .start = GemmStart::kSum});
   }
   Report(state, n, 2. * double(n_in * n_out * n), 0, PeakFlops());
 }
@@ -296,8 +333,14 @@ void March(State& state) {
     }
     for (int k = 0; k < 3; ++k) directions[3 * r + k] = d[k] / std::sqrt(norm);
   }
-  const MarchArgs<float> args{.n_rays = kRays, .origins = origins.data(), .directions = directions.data(),
-                              .occupancy = bits, .map = {}, .step = 2. / 128, .near = 0.1, .far = 6};
+  const MarchArgs<float> args{.n_rays = kRays,
+                              .origins = origins.data(),
+                              .directions = directions.data(),
+                              .occupancy = bits,
+                              .map = {},
+                              .step = 2. / 128,
+                              .near = 0.1,
+                              .far = 6};
   std::vector<int64_t> offsets(kRays + 1);
   int64_t n_samples = 0;
   for (auto _ : state) n_samples = CountSamplesCpu(args, offsets.data());
@@ -315,9 +358,14 @@ struct Composited {
     for (int64_t r = 0; r <= kRays; ++r) offsets[r] = r * kPerRay;
   }
   void Forward() {
-    WeightsForwardCpu(WeightsArgs<float>{.n_rays = kRays, .ray_offsets = offsets.data(), .sigma = sigma.data(),
-                                         .delta = delta.data(), .stop_transmittance = 0, .weights = weights.data(),
-                                         .transmittance = transmittance.data(), .n_reached = n_reached.data()});
+    WeightsForwardCpu(WeightsArgs<float>{.n_rays = kRays,
+                                         .ray_offsets = offsets.data(),
+                                         .sigma = sigma.data(),
+                                         .delta = delta.data(),
+                                         .stop_transmittance = 0,
+                                         .weights = weights.data(),
+                                         .transmittance = transmittance.data(),
+                                         .n_reached = n_reached.data()});
   }
 };
 
@@ -331,11 +379,15 @@ void WeightsBackward(State& state) {
   Composited c;
   c.Forward();
   for (auto _ : state) {
-    WeightsBackwardCpu(WeightsBackwardArgs<float>{
-        .n_rays = Composited::kRays, .ray_offsets = c.offsets.data(), .delta = c.delta.data(),
-        .weights = c.weights.data(), .transmittance = c.transmittance.data(), .n_reached = c.n_reached.data(),
-        .dL_dweights = c.d_weights.data(), .dL_dtransmittance = c.d_transmittance.data(),
-        .dL_dsigma = c.d_sigma.data()});
+    WeightsBackwardCpu(WeightsBackwardArgs<float>{.n_rays = Composited::kRays,
+                                                  .ray_offsets = c.offsets.data(),
+                                                  .delta = c.delta.data(),
+                                                  .weights = c.weights.data(),
+                                                  .transmittance = c.transmittance.data(),
+                                                  .n_reached = c.n_reached.data(),
+                                                  .dL_dweights = c.d_weights.data(),
+                                                  .dL_dtransmittance = c.d_transmittance.data(),
+                                                  .dL_dsigma = c.d_sigma.data()});
   }
   Report(state, Composited::kSamples, 0, 0, 0);
 }
@@ -348,12 +400,21 @@ void Adam(State& state) {
   Report(state, n, 0, 7. * 4 * double(n), PeakBytes());
 }
 
-#define NRFF_BENCH(name, ...) BENCHMARK(name)->Unit(benchmark::kMicrosecond)__VA_ARGS__
+#define NRFF_BENCH(name, ...) BENCHMARK(name)->Unit(benchmark::kMicrosecond) __VA_ARGS__
 NRFF_BENCH(DensityGridForward, ->ArgName("paper")->Arg(0)->Arg(1));
 NRFF_BENCH(DensityGridBackward, ->ArgName("paper")->Arg(0)->Arg(1));
 NRFF_BENCH(AppearanceGridForward, ->ArgName("paper")->Arg(0)->Arg(1));
 NRFF_BENCH(AppearanceGridBackward, ->ArgName("paper")->Arg(0)->Arg(1));
-#define NRFF_LAYERS ->ArgNames({"in", "out"})->Args({144, 64})->Args({64, 105})->Args({97, 64})->Args({64, 64})->Args({192, 256})->Args({256, 256})->Args({256, 265})->Args({385, 256})
+#define NRFF_LAYERS         \
+  ->ArgNames({"in", "out"}) \
+      ->Args({144, 64})     \
+      ->Args({64, 105})     \
+      ->Args({97, 64})      \
+      ->Args({64, 64})      \
+      ->Args({192, 256})    \
+      ->Args({256, 256})    \
+      ->Args({256, 265})    \
+      ->Args({385, 256})
 NRFF_BENCH(LinearForward, NRFF_LAYERS);
 NRFF_BENCH(LinearBackwardInput, NRFF_LAYERS);
 NRFF_BENCH(LinearBackwardWeight, NRFF_LAYERS);

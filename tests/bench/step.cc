@@ -137,8 +137,7 @@ class Bench {
       const PixelSource::Batch batch = pixels_.Draw(kRays, kSeed, uint64_t(t % kBatches));
       RenderOptions options = options_;
       options.jitter = {kSeed, uint64_t(t)};
-      const TrainingStep::Result done =
-          step.Run(batch, nullptr, model_->occupancy, model_->map, options, weights_);
+      const TrainingStep::Result done = step.Run(batch, nullptr, model_->occupancy, model_->map, options, weights_);
       for (size_t i = 0; i < parameters.size(); ++i) {
         AdamStep<float>({.learning_rate = parameters[i].is_grid ? config_.grid_rate : config_.network_rate,
                          .beta1 = config_.beta1,
@@ -194,8 +193,9 @@ class Bench {
 int Main(int argc, char** argv) {
   const std::string mode = argc > 1 ? argv[1] : "";
   if (!(mode == "prepare" && argc == 5) && !(mode == "run" && argc == 6)) {
-    std::fprintf(stderr, "usage: step_bench prepare MODEL_DIR SCENE_DIR OUT.safetensors\n"
-                         "       step_bench run MODEL_DIR SCENE_DIR N_STEPS N_VIEWS\n");
+    std::fprintf(stderr,
+                 "usage: step_bench prepare MODEL_DIR SCENE_DIR OUT.safetensors\n"
+                 "       step_bench run MODEL_DIR SCENE_DIR N_STEPS N_VIEWS\n");
     return 2;
   }
   SetThreads(0);
