@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """What training for a given time on this CPU is worth: PSNR of the held-out views by budget.
 
-    tests/bench/budgets.py DATA_DIR OUT.json [--budgets 1m 5m ...] [--only NAME ...]
+    tests/bench/budgets.py DATA_DIR OUT.json [--budgets 1m 5m ...] [--only NAME ...] [--seeds 0 1 2]
 
 The machine should have nothing else to do. OUT.md is written beside OUT.json. Workspaces are kept in --work: what is
 complete is not run again, and poses are estimated once per capture. Python's standard library only.
@@ -9,6 +9,7 @@ complete is not run again, and poses are estimated once per capture. Python's st
 
 import argparse
 import datetime
+import itertools
 import json
 import pathlib
 import shutil
@@ -38,15 +39,16 @@ def manifest(workspace, stage):
     return json.loads((workspace / stage / "manifest.json").read_text())
 
 
-def measure(nrff, source, size, budget, poses, workspace):
+def measure(nrff, source, size, budget, seed, poses, workspace):
     run(nrff, source, poses, "--max-image-size", size, "--until", "pose")
     if not workspace.exists():
         shutil.copytree(poses, workspace)
-    run(nrff, source, workspace, "--max-image-size", size, "--budget", budget)
+    run(nrff, source, workspace, "--max-image-size", size, "--budget", budget,
+        *(["--seed", str(seed)] if seed else []))
     train, evaluation = manifest(workspace, "train"), manifest(workspace, "eval")
     facts = train["facts"]
     return {
-        "budget": budget, "psnr": evaluation["facts"]["psnr"], "ssim": evaluation["facts"]["ssim"],
+        "budget": budget, "seed": seed, "psnr": evaluation["facts"]["psnr"], "ssim": evaluation["facts"]["ssim"],
         "n_images": evaluation["facts"]["n_images"], "train_psnr": facts["train_psnr"],
         "seconds_training": facts["seconds_training"], "seconds_evaluating": facts["seconds_evaluating"],
         "steps": facts["steps"], "samples": facts["samples"], "n_parameters": facts["n_parameters"],
@@ -61,12 +63,12 @@ def table(result):
     lines = ["# Quality by training time on a CPU", "",
              f"Made by `tests/bench/budgets.py` on {result['date']} with {result['version']} on {host['cpu']}, "
              f"{host['cores']} cores. {result['protocol']}", "",
-             "| capture | px | budget | training, s | evaluating, s | steps | PSNR, dB | SSIM | training views, dB | "
-             "peak memory, MiB | s a view |", "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|"]
+             "| capture | px | budget | seed | training, s | evaluating, s | steps | PSNR, dB | SSIM | training views, dB | "
+             "peak memory, MiB | s a view |", "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|"]
     for capture in result["captures"]:
         for entry in capture["runs"]:
             lines.append(
-                f"| {capture['name']} | {capture['max_image_size']} | {entry['budget']} | "
+                f"| {capture['name']} | {capture['max_image_size']} | {entry['budget']} | {entry['seed']} | "
                 f"{entry['seconds_training']:.1f} | {entry['seconds_evaluating']:.1f} | {entry['steps']} | "
                 f"{entry['psnr']:.2f} | {entry['ssim']:.3f} | {entry['train_psnr']:.2f} | "
                 f"{entry['peak_memory_bytes'] >> 20} | {entry['seconds_per_view']:.3f} |")
@@ -79,6 +81,7 @@ def main():
     parser.add_argument("out", type=pathlib.Path)
     parser.add_argument("--budgets", nargs="+", help="instead of each capture's own")
     parser.add_argument("--only", nargs="+", choices=CAPTURES, default=list(CAPTURES))
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--work", type=pathlib.Path, default=pathlib.Path("work/budgets"))
     parser.add_argument("--nrff", type=pathlib.Path, default=HERE / "../../build/bin/nrff")
     arguments = parser.parse_args()
@@ -87,7 +90,7 @@ def main():
         "version": subprocess.run([arguments.nrff, "--version"], capture_output=True, text=True,
                                   check=True).stdout.strip(),
         "machine": machine(),
-        "protocol": "Default preset, seed 0; all held-out views (the data set's test split, or the first of every "
+        "protocol": "Default preset; all held-out views (the data set's test split, or the first of every "
                     "eight photos by name); PSNR per image on 8-bit renderings, then the mean; SSIM on RGB, 11 x 11 "
                     "Gaussian, valid border; \"training views\" is the running mean over the last batches.",
         "captures": [],
@@ -96,9 +99,10 @@ def main():
         source, size, budgets = CAPTURES[name]
         capture = {"name": name, "source": source, "max_image_size": size, "runs": []}
         result["captures"].append(capture)
-        for budget in arguments.budgets or budgets:
-            capture["runs"].append(measure(arguments.nrff, arguments.data / source, size, budget,
-                                           arguments.work / name, arguments.work / f"{name}-{budget}"))
+        for budget, seed in itertools.product(arguments.budgets or budgets, arguments.seeds):
+            workspace = arguments.work / (f"{name}-{budget}" + (f"-seed-{seed}" if seed else ""))
+            capture["runs"].append(measure(arguments.nrff, arguments.data / source, size, budget, seed,
+                                           arguments.work / name, workspace))
             print(f"{name} {budget}: {capture['runs'][-1]['psnr']:.2f} dB", flush=True)
             arguments.out.write_text(json.dumps(result, indent=1) + "\n")
             arguments.out.with_suffix(".md").write_text(table(result))
