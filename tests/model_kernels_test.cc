@@ -293,7 +293,7 @@ TEST(DensityActivation, IsSoftplusAndItsDerivativeFromNothingToOpaque) {
   }
 }
 
-TEST(FastMath, NormalDistributionFunction) {
+TEST(FastMath, GeluAndItsDerivative) {
   for (double x = -9; x < 9; x += 0.013) {
     const double exact = float(x), cdf = 0.5 * std::erfc(-exact / std::numbers::sqrt2);
     const double pdf = std::exp(-exact * exact / 2) / std::sqrt(2 * std::numbers::pi);

@@ -9,7 +9,8 @@ Python's torch (the version is recorded; the CPU does all the work) and numpy.
 Same state: a model of the paper's size is trained for a few minutes at 200 px and given to both, with the box it
 shrank to, the marching step of the schedule's last stage (1/600 of the box) and the same batches of 4096 rays. Each side
 makes its own occupancy mask from that model by its own rule. A step is rays, loss (MSE, orientation, density L1),
-gradients and Adam; `--steps A B` are timed per round after one that is not. The view is 200 x 200, read from memory.
+gradients and Adam; `--steps A B` are timed per round after one that is not. The view is 200 x 200; ours,
+as nrff-render does, leaves samples unshaded that cannot move a pixel by half an 8-bit step.
 Before timing, the first batch is compared without jitter and masks: loss, and the gradient of every parameter against
 the authors' code in double precision.
 """
