@@ -230,21 +230,21 @@ void LinearBackwardInput(State& state) {
 void LinearBackwardWeight(State& state) {
   const int64_t n_in = state.range(0), n_out = state.range(1), n = 224, row = n + 16;
   const int64_t padded = (n_in + 15) / 16 * 16, across = padded + 16;
-  const auto x = Uniforms((n_in + 3) * row, -1, 1, 1), d_y = Uniforms(n_out * row, -1, 1, 2);
+  const auto x = Uniforms(padded * row, -1, 1, 1), d_y = Uniforms(n_out * row, -1, 1, 2);
   std::vector<float> transposed(n * across), d_weight(n_out * padded);
   for (auto _ : state) {
-    TileTranspose(x.data(), row, (n_in + 3) / 4 * 4, n, transposed.data(), across);
-    TileGemm({.m = n_out,
-              .n = padded,
-              .k = n,
-              .a = d_y.data(),
-              .a_row = row,
-              .a_column = 1,
-              .b = transposed.data(),
-              .b_row = across,
-              .c = d_weight.data(),
-              .c_row = padded,
-              .start = GemmStart::kSum});
+    TileGemmTransposed({.m = n_out,
+                        .n = padded,
+                        .k = n,
+                        .a = d_y.data(),
+                        .a_row = row,
+                        .a_column = 1,
+                        .b = x.data(),
+                        .b_row = row,
+                        .c = d_weight.data(),
+                        .c_row = padded,
+                        .start = GemmStart::kSum},
+                       {transposed.data(), across});
   }
   Report(state, n, 2. * double(n_in * n_out * n), 0, PeakFlops());
 }
