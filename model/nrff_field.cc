@@ -203,13 +203,32 @@ class TileShader : public RadianceField::Shader {
     packed_.Pack(networks_, /*backward=*/false);
   }
 
-  void Shade(const float* points, const float* ray_directions, int64_t n, float* rgb, float* normals) override {
+  void SetSamples(const float* points, const float* weights, int64_t n) override {
+    const GridLayout& layout = field_.appearance_layout();
+    n_samples_ = n;
+    weights_.assign(weights, weights + n);
+    features_.resize(n * layout.n_features());
+    GridConcatForward(layout, field_.appearance_parameters(), points, n, features_.data());
+  }
+
+  // The grid's features are what a span's samples have in common.
+  void Shade(const Span* spans, const float* ray_directions, int64_t n, float* rgb, float* normals) override {
     const GridLayout& layout = field_.appearance_layout();
     for (int64_t begin = 0; begin < n; begin += kMostAtOnce) {
       const int64_t n_tile = std::min(kMostAtOnce, n - begin);
-      features_.resize(n_tile * layout.n_features());
-      GridConcatForward(layout, field_.appearance_parameters(), points + 3 * begin, n_tile, features_.data());
-      ProductsToRows(features_.data(), layout, n_tile, tile_.stride(), tile_.features());
+      begins_.resize(n_tile);
+      ends_.resize(n_tile);
+      for (int64_t s = 0; s < n_tile; ++s) {
+        begins_[s] = spans[begin + s].begin;
+        ends_[s] = spans[begin + s].end;
+      }
+      MeansToRows({.n_samples = n_samples_,
+                   .features = features_.data(),
+                   .weights = weights_.data(),
+                   .n_spans = n_tile,
+                   .begins = begins_.data(),
+                   .ends = ends_.data()},
+                  layout, tile_.stride(), tile_.features());
       PointsToRows(ray_directions + 3 * begin, n_tile, tile_.stride(), tile_.ray_directions());
       tile_.Forward(networks_, n_tile);
       RowsToPoints(tile_.rgb(), n_tile, tile_.stride(), rgb + 3 * begin);
@@ -223,7 +242,9 @@ class TileShader : public RadianceField::Shader {
   ShadingNetworks networks_;
   PackedNetworks packed_;
   ShadingTile tile_;
-  std::vector<float> features_;
+  int64_t n_samples_ = 0;
+  std::vector<float> features_, weights_;  // [n_products][n_samples][C], [n_samples]
+  std::vector<int64_t> begins_, ends_;
 };
 
 }  // namespace

@@ -9,6 +9,7 @@
 
 #include "render/kernels/camera_rays.h"
 #include "render/ray_block.h"
+#include "render/ray_quadrature.h"
 
 namespace nrff {
 namespace {
@@ -52,8 +53,11 @@ class TileRenderer {
         .n_rays = n, .cameras = &camera_, .pixels = pixels_, .origins = origins_, .directions = directions_});
     args_.n_rays = n;
     block_.Trace(field_, args_, 0, n, static_cast<float>(options_.stop_transmittance));
-    block_.Select(static_cast<float>(options_.weight_threshold), static_cast<float>(options_.unshaded_weight));
-    Shade();
+    const auto tolerance = static_cast<float>(options_.colour_tolerance);
+    block_.Select(static_cast<float>(options_.weight_threshold), tolerance);
+    quadrature_.Integrate(block_, directions_, args_.step, tolerance, *shader_);
+    n_samples += block_.n_evaluated;
+    n_shaded += quadrature_.n_shaded;
     for (int64_t r = 0; r < n; ++r) {
       const int64_t pixel = int64_t{pixels_[3 * r + 2]} * view_.width + pixels_[3 * r + 1];
       Composite(r, pixel, image);
@@ -63,36 +67,18 @@ class TileRenderer {
   int64_t n_samples = 0, n_shaded = 0;
 
  private:
-  void Shade() {
-    const auto n = static_cast<int64_t>(block_.shaded.size());
-    n_samples += block_.n_evaluated;
-    n_shaded += n;
-    for (std::vector<float>* values : {&points_, &sample_directions_, &rgb_, &normals_}) values->resize(3 * n);
-    for (int64_t r = 0; r < block_.n_rays; ++r) {
-      for (int64_t i = block_.shaded_offsets[r]; i < block_.shaded_offsets[r + 1]; ++i) {
-        std::copy_n(&block_.points[3 * block_.shaded[i]], 3, &points_[3 * i]);
-        std::copy_n(&directions_[3 * r], 3, &sample_directions_[3 * i]);
-      }
-    }
-    if (n > 0) shader_->Shade(points_.data(), sample_directions_.data(), n, rgb_.data(), normals_.data());
-  }
-
   void Composite(int64_t r, int64_t pixel, RenderedImage& image) const {
     const float behind = block_.transmittance[r];
-    float rgb[3] = {}, normal[3] = {}, depth = 0, shaded = 0;
+    float depth = 0, shaded = 0;
     for (int64_t i = block_.shaded_offsets[r]; i < block_.shaded_offsets[r + 1]; ++i) {
-      const float weight = block_.weights[block_.shaded[i]];
-      shaded += weight;
-      for (int c = 0; c < 3; ++c) {
-        rgb[c] += weight * rgb_[3 * i + c];
-        normal[c] += weight * normals_[3 * i + c];
-      }
+      shaded += block_.weights[block_.shaded[i]];
     }
     for (int64_t i = block_.offsets[r]; i < block_.offsets[r + 1]; ++i) depth += block_.weights[i] * block_.t[i];
     const float with_unshaded = shaded > 0 ? 1 + block_.unshaded[r] / shaded : 1;
     for (int c = 0; c < 3; ++c) {
-      image.rgb[3 * pixel + c] = with_unshaded * rgb[c] + behind * static_cast<float>(options_.background);
-      image.normal[3 * pixel + c] = normal[c];
+      image.rgb[3 * pixel + c] =
+          with_unshaded * quadrature_.rgb[3 * r + c] + behind * static_cast<float>(options_.background);
+      image.normal[3 * pixel + c] = quadrature_.normals[3 * r + c];
     }
     image.depth[pixel] = depth;
     image.opacity[pixel] = 1 - behind;
@@ -107,7 +93,7 @@ class TileRenderer {
   RayBlock block_;
   int32_t pixels_[3 * RayBlock::kRays];
   float origins_[3 * RayBlock::kRays], directions_[3 * RayBlock::kRays];
-  std::vector<float> points_, sample_directions_, rgb_, normals_;
+  RayQuadrature quadrature_;
 };
 
 // Σ w t is the expected distance times the opacity; where less than half the light is stopped, there is no surface.

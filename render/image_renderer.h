@@ -19,8 +19,8 @@ struct RenderedImage {
   int64_t n_samples = 0, n_shaded = 0;  // evaluations of density and of shading
 };
 
-// RenderOptions::unshaded_weight of pictures to be written with 8 bits: half a step of theirs.
-inline constexpr double kUnshadedWeight = 0.5 / 255;
+// RenderOptions::colour_tolerance of pictures to be written with 8 bits: half a step of theirs.
+inline constexpr double kEightBitTolerance = 0.5 / 255;
 
 // Called after every tile with the number of rays done so far.
 using TileProgress = std::function<void(int64_t n_rays_done)>;

@@ -31,8 +31,14 @@ class RadianceField {
   class Shader {
    public:
     virtual ~Shader() = default;
-    // points, ray_directions [n, 3] → rgb, normals [n, 3]
-    virtual void Shade(const float* points, const float* ray_directions, int64_t n, float* rgb, float* normals) = 0;
+    // Samples begin … end − 1 seen as one: what they have in common is averaged by their weights, then shaded once.
+    struct Span {
+      int64_t begin, end;
+    };
+    // The samples of the spans to come: points [n, 3], weights [n] > 0.
+    virtual void SetSamples(const float* points, const float* weights, int64_t n) = 0;
+    // spans [n], ray_directions [n, 3] → rgb, normals [n, 3]. A span of one sample shows exactly its colour.
+    virtual void Shade(const Span* spans, const float* ray_directions, int64_t n, float* rgb, float* normals) = 0;
   };
   // For the use of one thread; the field must outlive it.
   virtual std::unique_ptr<Shader> MakeShader() const;

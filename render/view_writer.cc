@@ -86,7 +86,7 @@ RenderFacts RenderViews(const RenderSource& source, const std::vector<View>& vie
   const double depth_range = DepthRange(source);
 
   RenderOptions options = source.options;
-  options.unshaded_weight = kUnshadedWeight;
+  options.colour_tolerance = kEightBitTolerance;
 
   Progress progress("rendering", static_cast<double>(views.size()), "views");
   RenderFacts facts;

@@ -34,9 +34,10 @@ struct RenderOptions {
   double step = 0.01;              // marching step = delta of every sample: scene units; contracted units if unbounded
   double near = 0.05, far = 6;     // scene units along the ray
   double weight_threshold = 1e-4;  // samples with w ≤ this are not shaded: colour error ≤ Σ of the weights left out
-  // RenderImage alone: of the samples above the threshold, those of least weight are not shaded as long as their weights
-  // on a ray sum to at most this. They take the mean colour of the others: the error is at most this, mostly far less.
-  double unshaded_weight = 0;
+  // RenderImage alone: about how far a pixel's colour may be off to save shading; 0: every sample above the threshold
+  // is shaded. Of these, those of least weight are left out as long as their weights sum to at most this: they take the
+  // mean colour of the others. The rest is shaded in spans (ray_quadrature.h), whose error is estimated, not bounded.
+  double colour_tolerance = 0;
   double stop_transmittance = 1e-4;  // a ray ends when T falls below; exact for the set w > threshold when ≤ it
   double background = 1;             // grey level behind everything
   // Jitter of the first sample of every ray, from the stream (seed, jitter_purpose at counter); none when not given.

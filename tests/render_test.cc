@@ -273,7 +273,7 @@ TEST(RenderImageTest, IsTheRaysOfItsPixels) {
     for (int c = 0; c < 3; ++c) ASSERT_NEAR(image.rgb[3 * i + c], expected.rgb[i][c].item<float>(), 1e-5) << i;
     ASSERT_NEAR(image.opacity[i], expected.opacity[i].item<float>(), 1e-5) << i;
   }
-  options.unshaded_weight = 0.02;
+  options.colour_tolerance = 0.02;
   const RenderedImage fewer = RenderImage(ball, occupancy, SceneMap{}, view, options);
   EXPECT_LT(fewer.n_shaded, image.n_shaded);
   float most = 0;

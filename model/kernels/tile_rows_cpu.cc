@@ -28,7 +28,32 @@ NRFF_INLINE void FromRows(const float* rows, int64_t n, int64_t stride, float* f
   }
 }
 
+template <int C>
+NRFF_INLINE void MeansToRowsOf(const SpanMeans& args, const float* features, int64_t stride, float* rows) {
+  for (int64_t s = 0; s < args.n_spans; ++s) {
+    const int64_t begin = args.begins[s], end = args.ends[s];
+    float sum[C] = {}, weight = 0;
+    for (int64_t i = begin; i < end; ++i) {
+      weight += args.weights[i];
+      for (int c = 0; c < C; ++c) sum[c] += args.weights[i] * features[i * C + c];
+    }
+    // One sample is its own mean, to the last bit.
+    const float scale = 1 / weight;
+    for (int c = 0; c < C; ++c) rows[c * stride + s] = end - begin == 1 ? features[begin * C + c] : scale * sum[c];
+  }
+  for (int c = 0; c < C; ++c) Pad(rows + c * stride, args.n_spans);
+}
+
 }  // namespace
+
+NRFF_MULTIVERSION void MeansToRows(const SpanMeans& args, const GridLayout& layout, int64_t stride, float* rows) {
+  for (int p = 0; p < layout.n_products(); ++p) {
+    const int64_t n_before = p * layout.n_channels;
+    const float* features = args.features + n_before * args.n_samples;
+    if (layout.n_channels == 2) MeansToRowsOf<2>(args, features, stride, rows + n_before * stride);
+    if (layout.n_channels == 4) MeansToRowsOf<4>(args, features, stride, rows + n_before * stride);
+  }
+}
 
 NRFF_MULTIVERSION void ProductsToRows(const float* features, const GridLayout& layout, int64_t n, int64_t stride,
                                       float* rows) {

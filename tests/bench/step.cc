@@ -6,21 +6,24 @@
 //       with nothing left out but samples of little weight: the loss and the gradient of every parameter
 //   step_bench run MODEL_DIR SCENE_DIR N_STEPS N_VIEWS
 //       JSON on stdout: seconds of every step and of every rendering, samples, losses
+//   step_bench views MODEL_DIR SCENE_DIR
+//       JSON on stdout: for several tolerances of colour the seconds of a view, points shaded, and how far it is from
+//       the one with every sample shaded
 //
 // Steps are [Han23]'s: kRays rays, step of the last stage (½ · side / 300), weight threshold 1e-4, orientation and
 // density L1 losses, Adam, all cells of the occupancy grid set anew before the first step as the schedule does.
 
 #include <omp.h>
 
+#include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <cstdio>
-#include <cstring>
 #include <string>
 #include <vector>
 
 #include "model/checkpoint.h"
 #include "model/kernels/adam.h"
-#include "model/losses.h"
 #include "model/safetensors.h"
 #include "model/schedule.h"
 #include "model/training_step.h"
@@ -155,6 +158,30 @@ class Bench {
     return result;
   }
 
+  Json Views() {
+    SetOccupancy();
+    const RenderedImage exact = Render(0);
+    Json result = Json::array();
+    for (const double steps : {0., 0.125, 0.25, 0.5, 1., 2., 4.}) {  // of 8 bits
+      const auto start = Clock::now();
+      const RenderedImage image = Render(steps / 255);
+      const double seconds = SecondsSince(start);
+      double sum = 0, most = 0;
+      for (size_t i = 0; i < image.rgb.size(); ++i) {
+        const double difference = std::abs(double(image.rgb[i]) - exact.rgb[i]);
+        sum += difference * difference;
+        most = std::max(most, difference);
+      }
+      result.push_back({{"tolerance", steps / 255},
+                        {"seconds", seconds},
+                        {"densities", image.n_samples},
+                        {"shaded", image.n_shaded},
+                        {"psnr_to_exact", -10 * std::log10(std::max(sum / double(image.rgb.size()), 1e-20))},
+                        {"most_difference", most}});
+    }
+    return result;
+  }
+
  private:
   Json Corner(double u) const {
     const double corner[3] = {u, u, u};
@@ -174,9 +201,9 @@ class Bench {
   }
 
   // As nrff-render does.
-  RenderedImage Render() const {
+  RenderedImage Render(double colour_tolerance = kEightBitTolerance) const {
     RenderOptions options = options_;
-    options.unshaded_weight = kUnshadedWeight;
+    options.colour_tolerance = colour_tolerance;
     return RenderImage(*model_->field, model_->occupancy, model_->map, view_, options);
   }
 
@@ -192,16 +219,19 @@ class Bench {
 
 int Main(int argc, char** argv) {
   const std::string mode = argc > 1 ? argv[1] : "";
-  if (!(mode == "prepare" && argc == 5) && !(mode == "run" && argc == 6)) {
+  if (!(mode == "prepare" && argc == 5) && !(mode == "run" && argc == 6) && !(mode == "views" && argc == 4)) {
     std::fprintf(stderr,
                  "usage: step_bench prepare MODEL_DIR SCENE_DIR OUT.safetensors\n"
-                 "       step_bench run MODEL_DIR SCENE_DIR N_STEPS N_VIEWS\n");
+                 "       step_bench run MODEL_DIR SCENE_DIR N_STEPS N_VIEWS\n"
+                 "       step_bench views MODEL_DIR SCENE_DIR\n");
     return 2;
   }
   SetThreads(0);
   Bench bench(argv[2], argv[3]);
   if (mode == "prepare") {
     bench.Prepare(argv[4]);
+  } else if (mode == "views") {
+    std::printf("%s\n", bench.Views().dump(1).c_str());
   } else {
     std::printf("%s\n", bench.Run(std::stoi(argv[4]), std::stoi(argv[5])).dump().c_str());
   }
