@@ -93,6 +93,8 @@ struct Preset {
 };
 
 inline constexpr const char* kPresetNames[] = {"paper", "small", "tiny"};
+// Not a preset: small, or under a budget what the first seconds show to fit (needs::SmallModel).
+inline constexpr char kAutoPreset[] = "auto";
 
 // Throws UsageError listing the presets when there is none of that name.
 Preset MakePreset(const std::string& name, bool unbounded);

@@ -34,20 +34,33 @@ std::string Decibels(double psnr) {
   return text;
 }
 
-Preset ChoosePreset(const TrainingRequest& request, const Scene& scene, size_t n_depths,
+// The preset chosen by what was measured, in the partial artifact: a training that goes on does not measure again.
+constexpr char kChoiceFile[] = "preset.json";
+
+constexpr double kMeasuredSeconds = 2;      // of the budget, at most
+constexpr double kMeasuredFraction = 0.05;  // of the budget, at most
+
+bool ChoosesBySpeed(const TrainingRequest& request) {
+  return request.preset == kAutoPreset && request.budget_seconds > 0;
+}
+
+// The preset asked for, or the one that is tried first.
+std::string FirstPreset(const std::string& asked) { return asked == kAutoPreset ? "small" : asked; }
+
+Preset ChoosePreset(const TrainingRequest& request, const std::string& name, const Scene& scene, size_t n_depths,
                     std::vector<Decision>& decisions) {
-  Preset preset = MakePreset(request.preset, scene.unbounded);
+  Preset preset = MakePreset(name, scene.unbounded);
   ApplySettings(request.settings, preset);
   const int n_views = int(scene.ViewsOf(Split::kTrain).size());
   decisions.push_back(FitDepths(preset, n_depths, scene.unbounded, request.sparse_depth));
-  decisions.push_back(FitLevelsToViews(preset, request.preset, n_views, request.fine_levels));
+  decisions.push_back(FitLevelsToViews(preset, name, n_views, request.fine_levels));
   if (request.steps > 0) preset.train.steps = request.steps;
   return preset;
 }
 
 // All that decides what training computes.
-Json Settings(const TrainingRequest& request, const Preset& preset) {
-  return {{"preset", request.preset},
+Json Settings(const TrainingRequest& request, const std::string& name, const Preset& preset) {
+  return {{"preset", name},
           {"field", ToJson(preset.field)},
           {"train", ToJson(preset.train)},
           {"budget_seconds", request.budget_seconds},
@@ -66,6 +79,27 @@ void Resume(const std::filesystem::path& dir, const std::string& settings, const
     LogWarning(std::string(error.what()) + "; training starts anew");
     start_anew();
   }
+}
+
+// The first steps of a training with `small`, and what their speed says; the steps stay done.
+Decision MeasureSmall(Trainer& trainer, bool unbounded, double budget_seconds) {
+  const double enough = std::min(kMeasuredSeconds, kMeasuredFraction * budget_seconds);
+  while (trainer.state().seconds < enough) trainer.Step();
+  const TrainState& state = trainer.state();
+  return needs::SmallModel(double(state.step) / state.seconds, budget_seconds, unbounded);
+}
+
+// Nothing when there is none that can be read.
+std::optional<Decision> ReadChoice(const std::filesystem::path& dir) {
+  try {
+    return ReadJson(dir / kChoiceFile).get<Decision>();
+  } catch (const std::exception&) {
+    return std::nullopt;
+  }
+}
+
+void WriteChoice(const std::filesystem::path& dir, const Decision& decision) {
+  WriteFileAtomically(dir / kChoiceFile, Json(decision).dump());
 }
 
 void Evaluate(const HeldOutViews& held_out, Trainer& trainer) {
@@ -129,7 +163,7 @@ Json DescribeTraining(const TrainingRequest& request) {
   for (const bool unbounded : {false, true}) {
     Json& kind = settings[unbounded ? "unbounded" : "bounded"];
     try {
-      Preset preset = MakePreset(request.preset, unbounded);
+      Preset preset = MakePreset(FirstPreset(request.preset), unbounded);
       ApplySettings(request.settings, preset);
       if (request.steps > 0) preset.train.steps = request.steps;
       steps = preset.train.steps;
@@ -140,9 +174,12 @@ Json DescribeTraining(const TrainingRequest& request) {
   }
   if (steps.is_null()) throw Error(*refused);
   if (request.budget_seconds > 0) steps = nullptr;
-  return {{"preset", request.preset}, {"device", device.needed ? "cuda" : "cpu"},
-          {"steps", steps},           {"budget_seconds", request.budget_seconds},
-          {"decisions", {device}},    {"settings", settings}};
+  return {{"preset", ChoosesBySpeed(request) ? kAutoPreset : FirstPreset(request.preset)},
+          {"device", device.needed ? "cuda" : "cpu"},
+          {"steps", steps},
+          {"budget_seconds", request.budget_seconds},
+          {"decisions", {device}},
+          {"settings", settings}};
 }
 
 void RunTraining(const TrainingRequest& request, const Params& params) {
@@ -152,17 +189,37 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
   const Scene scene = LoadScene(request.scene_dir);
   const ImagePack pack(request.scene_dir);
   const std::vector<SparseDepth> depths = LoadSparseDepths(scene, request.scene_dir);
-  std::vector<Decision> decisions = {device};
-  const Preset preset = ChoosePreset(request, scene, depths.size(), decisions);
   const TrainOptions options{.budget_seconds = request.budget_seconds, .seed = request.seed};
-  const Json settings = Settings(request, preset);
 
   ArtifactWriter artifact("train", request.out, params, {ArtifactInput(request.scene_dir, scene_manifest)},
                           ArtifactWriter::kKeepPartial);
   artifact.SaveSeconds();
   std::optional<Trainer> trainer;
-  const auto start_anew = [&] { trainer.emplace(scene, pack, depths, preset, options); };
+  std::string name = FirstPreset(request.preset);
+  Preset preset;
+  Json settings;
+  std::vector<Decision> decisions;
+  const auto start_anew = [&] {
+    decisions = {device};
+    preset = ChoosePreset(request, name, scene, depths.size(), decisions);
+    settings = Settings(request, name, preset);
+    trainer.emplace(scene, pack, depths, preset, options);
+  };
   start_anew();
+  std::optional<Decision> small_model;
+  if (ChoosesBySpeed(request)) {
+    small_model = artifact.resumed() ? ReadChoice(artifact.dir()) : std::nullopt;
+    const bool measured = !small_model;
+    if (measured) small_model = MeasureSmall(*trainer, scene.unbounded, request.budget_seconds);
+    if (!small_model->needed) {
+      const double seconds = measured ? trainer->state().seconds : 0;
+      name = "tiny";
+      start_anew();
+      trainer->state().seconds = seconds;  // measuring is part of the budget
+    }
+    if (measured) WriteChoice(artifact.dir(), *small_model);
+    LogInfo("preset " + name + ": " + small_model->evidence + ", " + small_model->reason);
+  }
   if (artifact.resumed()) Resume(artifact.dir(), settings.dump(), start_anew, trainer);
   const HeldOutViews held_out(scene, pack, BackgroundLevel(scene, preset.train.unknown_background));
   TrainToTheEnd(*trainer, held_out, settings.dump(), artifact);
@@ -172,7 +229,7 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
   SaveCheckpoint(artifact.dir(), state, settings.dump());
   artifact.facts() = {{"steps", state.step},
                       {"samples", state.samples},
-                      {"preset", request.preset},
+                      {"preset", name},
                       {"settings", settings},
                       {"curve", Curve(state)},
                       {"curve_protocol", held_out.Protocol()},
@@ -186,6 +243,7 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
                       {"n_parameters", state.field.n_parameters()},
                       {"occupied_fraction", state.occupancy.OccupiedFraction()},
                       {"resumed", state.resumed}};
+  if (small_model) decisions.push_back(*small_model);
   for (const Decision& decision : decisions) artifact.AddDecision(decision);
   artifact.AddOutput(kModelFile);
   artifact.Commit();

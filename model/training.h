@@ -12,7 +12,7 @@ namespace nrff {
 
 struct TrainingRequest {
   std::filesystem::path scene_dir, out;
-  std::string preset = "small";
+  std::string preset = "auto";  // kAutoPreset or a preset's name
   std::string settings;       // changes of the preset: ApplySettings
   int64_t steps = 0;          // 0: the preset's
   double budget_seconds = 0;  // of training, without evaluating; 0: steps decide

@@ -109,6 +109,17 @@ Decision SparseDepth(size_t n_depths, bool unbounded) {
                        : "too few points to tell where surfaces are"};
 }
 
+Decision SmallModel(double steps_per_second, double budget_seconds, bool unbounded) {
+  const auto steps = static_cast<int64_t>(steps_per_second * budget_seconds);
+  const int64_t fewest = unbounded ? 3000 : 1000;
+  const bool needed = steps >= fewest;
+  return {"small_model", needed,
+          std::to_string(steps) + " steps of the preset small fit in " +
+              std::to_string(static_cast<int64_t>(budget_seconds)) + " s",
+          std::to_string(fewest) + " steps in " + (unbounded ? "an unbounded" : "a bounded") + " scene",
+          needed ? "it has the time to show more than tiny" : "tiny shows more in this time"};
+}
+
 Decision Lpips(const std::string& network_path) {
   const bool given = !network_path.empty();
   return {"lpips", given, given ? "network " + network_path : "no network file", "a network file",

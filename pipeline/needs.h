@@ -57,6 +57,12 @@ Decision FineLevels(int n_train_views, bool sparse_depth, int finest);
 // (tests/bench/results/features.md); in bounded maryrose 0.4 after 800 steps but −0.2 after 60 s.
 Decision SparseDepth(size_t n_depths, bool unbounded);
 
+// The model `small` is left out for `tiny` where so few of its steps fit in the training budget that the smaller model
+// shows more. On training views held out, two cores: lego at 200 px 27.6 against 28.6 dB after 650 steps of `small`, 31.5
+// against 29.1 after 1460; fox at 384 px (unbounded) 26.4 against 27.2 after 2240, 28.7 against 28.1 after 4900. A model
+// with twice the width and a third more levels shows less yet after 2 min (lego, 35.9 against 36.1 dB).
+Decision SmallModel(double steps_per_second, double budget_seconds, bool unbounded);
+
 // LPIPS is left out when no network file is given.
 Decision Lpips(const std::string& network_path);
 

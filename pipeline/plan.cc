@@ -60,7 +60,9 @@ std::string TrainingText(const BranchPlan& plan) {
   const auto size = plan.request.options.find("max-image-size");
   const double budget_seconds = plan.training.value("budget_seconds", 0.);
   const Json steps = plan.training.value("steps", Json());
-  return fmt::format("training: preset {}, {}, on {}, photos of at most {} px", plan.training.value("preset", ""),
+  const auto preset = plan.training.value("preset", "");
+  return fmt::format("training: preset {}, {}, on {}, photos of at most {} px",
+                     preset == "auto" ? "small, or tiny where too few of its steps fit" : preset,
                      budget_seconds > 0 ? FormatSeconds(budget_seconds) : steps.dump() + " steps",
                      plan.training.value("device", "cpu"),
                      size == plan.request.options.end() ? std::to_string(kMaxImageSize) : size->second);
