@@ -40,6 +40,8 @@ constexpr char kChoiceFile[] = "preset.json";
 constexpr double kMeasuredSeconds = 2;      // of the budget, at most
 constexpr double kMeasuredFraction = 0.05;  // of the budget, at most
 
+constexpr int64_t kSlowSteps = 32;
+
 bool ChoosesBySpeed(const TrainingRequest& request) {
   return request.preset == kAutoPreset && request.budget_seconds > 0;
 }
@@ -84,9 +86,19 @@ void Resume(const std::filesystem::path& dir, const std::string& settings, const
 // The first steps of a training with `small`, and what their speed says; the steps stay done.
 Decision MeasureSmall(Trainer& trainer, bool unbounded, double budget_seconds) {
   const double enough = std::min(kMeasuredSeconds, kMeasuredFraction * budget_seconds);
-  while (trainer.state().seconds < enough) trainer.Step();
   const TrainState& state = trainer.state();
-  return needs::SmallModel(double(state.step) / state.seconds, budget_seconds, unbounded);
+  // The first steps, which know of no empty space yet, are no measure of the rest.
+  int64_t n_slow = 0;
+  double slow_seconds = 0;
+  while (state.seconds < enough) {
+    trainer.Step();
+    if (state.step == kSlowSteps && state.seconds < 0.5 * enough) {
+      n_slow = state.step;
+      slow_seconds = state.seconds;
+    }
+  }
+  const double rate = double(state.step - n_slow) / (state.seconds - slow_seconds);
+  return needs::SmallModel(rate, budget_seconds, unbounded);
 }
 
 // Nothing when there is none that can be read.

@@ -318,6 +318,22 @@ TEST_F(TrainStage, SettingsAndForcedDecisionsAreInTheModelAndTheManifest) {
   }
 }
 
+TEST_F(TrainStage, ABudgetTooShortForSmallTakesTinyAndIsKept) {
+  request.preset = kAutoPreset;
+  request.steps = 0;
+  request.budget_seconds = 1;
+  RunTraining(request, {});
+  const Manifest manifest = RequireArtifact(request.out, "train");
+  EXPECT_EQ(manifest.facts.at("preset"), "tiny");
+  EXPECT_NEAR(manifest.facts.at("seconds_training").get<double>(), 1, 0.2);
+  const Decision& decision = manifest.decisions.back();
+  EXPECT_EQ(decision.feature, "small_model");
+  EXPECT_FALSE(decision.needed);
+  EXPECT_THAT(decision.evidence, HasSubstr("steps of the preset small fit in 1 s"));
+  EXPECT_TRUE(needs::SmallModel(100, 10, /*unbounded=*/false).needed);
+  EXPECT_FALSE(needs::SmallModel(100, 10, /*unbounded=*/true).needed);
+}
+
 TEST_F(TrainStage, StartsAnewAfterADamagedCheckpoint) {
   RunTraining(request, {{"steps", "12"}});
   const Manifest manifest = RequireArtifact(request.out, "train");
