@@ -128,8 +128,7 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options) {
       ->required()
       ->type_name("");
   add("--workspace,-w", options.workspace, "DIR", "Where everything goes (default: work/NAME)");
-  add("--preset", options.preset, "NAME",
-      "paper, small or tiny model (default: small; tiny under a budget too short for it)");
+  add("--preset", options.preset, "NAME", "paper, small or tiny (default: by the budget)");
   add("--set", options.set, "SETTINGS", "Changes of the preset, as 'field.levels=10'")->check(CheckSettings);
   auto* budget = add("--budget", options.budget, "TIME", "Train the best model in this time: 90s, 10m, 1h");
   add("--steps", options.steps, "N", "Training steps; not with --budget")->check(CheckPositive)->excludes(budget);

@@ -281,6 +281,17 @@ TEST(RenderImageTest, IsTheRaysOfItsPixels) {
   EXPECT_GT(most, 0);
   EXPECT_LE(most, 0.02 + 1e-5);
   EXPECT_EQ(fewer.opacity, image.opacity);
+  // Fewer points than samples, and more of them for a smaller error.
+  EXPECT_LT(10 * fewer.n_shaded, 4 * image.n_shaded);
+  options.colour_tolerance = 0.0005;
+  const RenderedImage closer = RenderImage(ball, occupancy, SceneMap{}, view, options);
+  EXPECT_GT(closer.n_shaded, fewer.n_shaded);
+  const auto mean_error = [&image](const RenderedImage& other) {
+    double sum = 0;
+    for (size_t i = 0; i < image.rgb.size(); ++i) sum += std::abs(double(other.rgb[i]) - image.rgb[i]);
+    return sum / double(image.rgb.size());
+  };
+  EXPECT_LT(mean_error(closer), mean_error(fewer));
 }
 
 TEST(RenderRaysTest, UnusableOptionsAreInputErrors) {

@@ -10,7 +10,7 @@ Same state: a model of the paper's size is trained for a few minutes at 200 px a
 shrank to, the marching step of the schedule's last stage (1/600 of the box) and the same batches of 4096 rays. Each side
 makes its own occupancy mask from that model by its own rule. A step is rays, loss (MSE, orientation, density L1),
 gradients and Adam; `--steps A B` are timed per round after one that is not. The view is 200 x 200; ours,
-as nrff-render does, leaves samples unshaded that cannot move a pixel by half an 8-bit step.
+as nrff-render does, shades spans of samples within about half an 8-bit step (step_bench views has what that changes).
 Before timing, the first batch is compared without jitter and masks: loss, and the gradient of every parameter against
 the authors' code in double precision.
 """
