@@ -23,7 +23,9 @@ int main(int argc, char** argv) {
   app.add_option("--threads", request.n_threads, "threads; 0: one per core")->check(CLI::NonNegativeNumber);
 
   const char* group = nrff::kParameterGroup;
-  app.add_option("--preset", request.preset, "paper, small or tiny (small, or tiny under a budget too short for it)")->group(group)->type_name("NAME");
+  app.add_option("--preset", request.preset, "paper, small or tiny (small, or tiny under a budget too short for it)")
+      ->group(group)
+      ->type_name("NAME");
   app.add_option("--set", request.settings, "changes of the preset (see --probe), as 'field.levels=10 train.rays=2048'")
       ->group(group)
       ->type_name("SETTINGS");

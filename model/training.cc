@@ -40,7 +40,7 @@ constexpr char kChoiceFile[] = "preset.json";
 constexpr double kMeasuredSeconds = 2;      // of the budget, at most
 constexpr double kMeasuredFraction = 0.05;  // of the budget, at most
 
-constexpr int64_t kSlowSteps = 32;
+constexpr int64_t kSlowSteps = 32;  // two intervals of the occupancy grid
 
 bool ChoosesBySpeed(const TrainingRequest& request) {
   return request.preset == kAutoPreset && request.budget_seconds > 0;
@@ -87,7 +87,8 @@ void Resume(const std::filesystem::path& dir, const std::string& settings, const
 Decision MeasureSmall(Trainer& trainer, bool unbounded, double budget_seconds) {
   const double enough = std::min(kMeasuredSeconds, kMeasuredFraction * budget_seconds);
   const TrainState& state = trainer.state();
-  // The first steps, which know of no empty space yet, are no measure of the rest.
+  // The first steps, which know of no empty space yet, are no measure of the rest; of a slow machine there are no
+  // others.
   int64_t n_slow = 0;
   double slow_seconds = 0;
   while (state.seconds < enough) {

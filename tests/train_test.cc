@@ -318,7 +318,7 @@ TEST_F(TrainStage, SettingsAndForcedDecisionsAreInTheModelAndTheManifest) {
   }
 }
 
-TEST_F(TrainStage, ABudgetTooShortForSmallTakesTinyAndIsKept) {
+TEST_F(TrainStage, ABudgetTooShortForSmallTakesTiny) {
   request.preset = kAutoPreset;
   request.steps = 0;
   request.budget_seconds = 1;
