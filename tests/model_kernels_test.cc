@@ -281,6 +281,34 @@ TEST(TileRows, ProductsGoToRowsAndBack) {
   }
 }
 
+TEST(TileRows, SpansAreWeightedMeansAndOneSampleIsItself) {
+  for (const int channels : {2, 4}) {
+    const GridLayout layout = MakeGridLayout(2, 4, 8, channels);
+    const auto values = Uniforms(layout.n_features() * 7, 1, 2, 1);
+    const std::vector<float> features(values.begin(), values.end());
+    const float weights[7] = {0.1F, 0.3F, 0.5F, 1e-4F, 0.7F, 0.2F, 0.9F};
+    const int64_t begins[2] = {3, 4}, ends[2] = {4, 7};
+    std::vector<float> rows(layout.n_features() * 16, 9.F);
+    MeansToRows(
+        {.n_samples = 7, .features = features.data(), .weights = weights, .n_spans = 2, .begins = begins, .ends = ends},
+        layout, 16, rows.data());
+    for (int p = 0; p < layout.n_products(); ++p) {
+      for (int c = 0; c < channels; ++c) {
+        const float* row = &rows[(p * channels + c) * 16];
+        const auto at = [&](int64_t i) { return double(features[(p * 7 + i) * channels + c]); };
+        ASSERT_EQ(row[0], float(at(3)));
+        double sum = 0, weight = 0;
+        for (int64_t i = 4; i < 7; ++i) {
+          sum += double(weights[i]) * at(i);
+          weight += double(weights[i]);
+        }
+        ASSERT_NEAR(row[1], sum / weight, 2e-6);  // values to 2, a few roundings
+        ASSERT_EQ(row[2], 0);                     // padding
+      }
+    }
+  }
+}
+
 TEST(DensityActivation, IsSoftplusAndItsDerivativeFromNothingToOpaque) {
   for (double f = -30; f < 40; f += 0.37) {
     auto sigma = float(f), d = 2.F;
