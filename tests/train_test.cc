@@ -334,6 +334,25 @@ TEST_F(TrainStage, ABudgetTooShortForSmallTakesTiny) {
   EXPECT_FALSE(needs::SmallModel(100, 10, /*unbounded=*/true).needed);
 }
 
+// Measured again, this budget would give tiny.
+TEST_F(TrainStage, GoesOnWithThePresetThatWasChosenBeforeItWasStopped) {
+  request.preset = kAutoPreset;
+  request.steps = 0;
+  request.budget_seconds = 1;
+  const Decision chosen{"small_model", true, "100 steps", "10 steps", "chosen before"};
+  {
+    const ArtifactWriter interrupted("train", request.out, {},
+                                     {ArtifactInput(request.scene_dir, RequireArtifact(request.scene_dir, "pose"))},
+                                     ArtifactWriter::kKeepPartial);
+    interrupted.SaveSeconds();
+    WriteFileAtomically(interrupted.dir() / "preset.json", Json(chosen).dump());
+  }
+  RunTraining(request, {});
+  const Manifest manifest = RequireArtifact(request.out, "train");
+  EXPECT_EQ(manifest.facts.at("preset"), "small");
+  EXPECT_EQ(manifest.decisions.back().reason, chosen.reason);
+}
+
 TEST_F(TrainStage, StartsAnewAfterADamagedCheckpoint) {
   RunTraining(request, {{"steps", "12"}});
   const Manifest manifest = RequireArtifact(request.out, "train");
