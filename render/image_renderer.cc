@@ -23,7 +23,7 @@ class TileRenderer {
   TileRenderer(const RadianceField& field, const OccupancyGrid& occupancy, const SceneMap& map, const View& view,
                const RenderOptions& options)
       : field_(field),
-        shader_(field.MakeShader()),
+        shader_(field.MakeShader(options.colour_tolerance)),
         view_(view),
         camera_{.fx = view.fx, .fy = view.fy, .cx = view.cx, .cy = view.cy},
         options_(options) {
@@ -52,7 +52,9 @@ class TileRenderer {
     CameraRaysCpu(CameraRaysArgs<float>{
         .n_rays = n, .cameras = &camera_, .pixels = pixels_, .origins = origins_, .directions = directions_});
     args_.n_rays = n;
-    block_.Trace(field_, args_, 0, n, static_cast<float>(options_.stop_transmittance));
+    // What lies behind may be off by as much, since it weighs no more.
+    const double stop = std::max(options_.stop_transmittance, 0.5 * options_.colour_tolerance);
+    block_.Trace(field_, args_, 0, n, static_cast<float>(stop));
     const auto tolerance = static_cast<float>(options_.colour_tolerance);
     block_.Select(static_cast<float>(options_.weight_threshold), tolerance);
     quadrature_.Integrate(block_, directions_, args_.step, tolerance, *shader_);

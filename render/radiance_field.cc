@@ -54,7 +54,7 @@ void RadianceField::DensityOf(const float* points, int64_t n, float* sigma) cons
   CopyOut(Density(View(points, n)), sigma);
 }
 
-std::unique_ptr<RadianceField::Shader> RadianceField::MakeShader() const {
+std::unique_ptr<RadianceField::Shader> RadianceField::MakeShader(double /*colour_tolerance*/) const {
   return std::make_unique<TensorShader>(*this);
 }
 

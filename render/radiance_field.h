@@ -40,8 +40,8 @@ class RadianceField {
     // spans [n], ray_directions [n, 3] → rgb, normals [n, 3]. A span of one sample shows exactly its colour.
     virtual void Shade(const Span* spans, const float* ray_directions, int64_t n, float* rgb, float* normals) = 0;
   };
-  // For the use of one thread; the field must outlive it.
-  virtual std::unique_ptr<Shader> MakeShader() const;
+  // For the use of one thread; the field must outlive it. colour_tolerance: by how much colours may be off for speed.
+  virtual std::unique_ptr<Shader> MakeShader(double colour_tolerance) const;
 };
 
 }  // namespace nrff

@@ -4,7 +4,7 @@
 // weighted mean of what its samples have in common (RadianceField::Shader): exact where colour is linear in that, else
 // off by about ½ c'' w Var(t). How large c'' may be is seen from the neighbouring spans' colours; spans for which that
 // is too much are halved and shaded anew. On the paper's model at the tolerance of 8-bit pictures a tenth of the
-// samples is shaded, and pictures agree to 62 dB with those of all samples (tests/bench/results/views_epyc.json).
+// samples is shaded, and pictures agree to 63 dB with those of all samples (tests/bench/results/views.json).
 #pragma once
 
 #include <cstdint>

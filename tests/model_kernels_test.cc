@@ -14,10 +14,8 @@
 #include "model/kernels/fast_math.h"
 #include "model/kernels/feature_grid.h"
 #include "model/kernels/ree.h"
-#include "model/kernels/tile_gemm.h"
-#include "model/kernels/tile_gemm_amx.h"
 #include "model/kernels/tile_rows.h"
-#include "render/kernels/random.h"
+#include "tests/uniforms.h"
 
 namespace nrff {
 namespace {
@@ -25,12 +23,6 @@ namespace {
 using ::testing::ElementsAre;
 
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
-
-std::vector<double> Uniforms(size_t n, double low, double high, uint64_t stream) {
-  std::vector<double> values(n);
-  for (size_t i = 0; i < n; ++i) values[i] = low + (high - low) * double(Uniform(1, stream, i));
-  return values;
-}
 
 double Dot(const std::vector<double>& a, const std::vector<double>& b) {
   double sum = 0;
@@ -202,112 +194,6 @@ TEST_P(FeatureGrid, CoordinatesThatAreNotNumbersReadTheFirstNode) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Channels, FeatureGrid, ::testing::Values(2, 4));
-
-// All sizes around the kernels' blocks, both orders of A, all starts; elements beyond C's columns stay.
-TEST(TileGemm, IsTheProductWhateverTheSizes) {
-  for (const int64_t m : {1, 3, 11, 16, 49}) {
-    for (const int64_t n : {16, 48, 64, 112}) {
-      for (const int64_t k : {1, 17, 160, 545, 548}) {
-        for (const GemmStart start : {GemmStart::kZero, GemmStart::kBias, GemmStart::kSum}) {
-          const bool transposed = (m + k) % 2 == 0, b_transposed = k % 4 == 0 && m > 3;
-          const int64_t b_row = (b_transposed ? k : n) + 5;
-          const auto a = Uniforms(m * k, -1, 1, 1), b = Uniforms((k + n) * b_row, -1, 1, 2),
-                     bias = Uniforms(m, -1, 1, 3), c = Uniforms(m * (n + 3), -1, 1, 4);
-          const std::vector<float> af(a.begin(), a.end()), bf(b.begin(), b.end()), biasf(bias.begin(), bias.end());
-          std::vector<float> cf(c.begin(), c.end()), scratch(k * (n + 16));
-          const GemmArgs args{.m = m,
-                              .n = n,
-                              .k = k,
-                              .a = af.data(),
-                              .a_row = transposed ? 1 : k,
-                              .a_column = transposed ? m : 1,
-                              .b = bf.data(),
-                              .b_row = b_row,
-                              .c = cf.data(),
-                              .c_row = n + 3,
-                              .start = start,
-                              .bias = biasf.data()};
-          if (b_transposed) {
-            TileGemmTransposed(args, {scratch.data(), n + 16});
-          } else {
-            TileGemm(args);
-          }
-          for (int64_t i = 0; i < m; ++i) {
-            for (int64_t j = 0; j < n + 3; ++j) {
-              double expected = start == GemmStart::kSum ? c[i * (n + 3) + j] : start == GemmStart::kBias ? bias[i] : 0;
-              double magnitude = 0;
-              for (int64_t l = 0; l < k; ++l) {
-                const double product =
-                    a[transposed ? l * m + i : i * k + l] * b[b_transposed ? j * b_row + l : l * b_row + j];
-                expected += product;
-                magnitude += std::abs(product);
-              }
-              if (j >= n) expected = c[i * (n + 3) + j];
-              // k products, each rounded once, of numbers below 1; operands split in two bf16 where AMX does it.
-              const double split = AmxAvailable() ? 3 * std::ldexp(magnitude, -18) : 0;
-              ASSERT_NEAR(cf[i * (n + 3) + j], expected, 6e-8 * double(k + 2) * 2 + split) << m << " " << n << " " << k;
-            }
-          }
-        }
-      }
-    }
-  }
-}
-
-TEST(TileTranspose, TwiceIsTheMatrixItself) {
-  const auto values = Uniforms(12 * 20, -1, 1, 1);
-  const std::vector<float> from(values.begin(), values.end());
-  std::vector<float> across(16 * 14), back(12 * 20);
-  TileTranspose(from.data(), 20, 12, 16, across.data(), 14);
-  EXPECT_EQ(across[3 * 14 + 7], from[7 * 20 + 3]);
-  TileTranspose(across.data(), 14, 16, 12, back.data(), 20);
-  for (int i = 0; i < 12; ++i) {
-    for (int j = 0; j < 16; ++j) ASSERT_EQ(back[i * 20 + j], from[i * 20 + j]);
-  }
-}
-
-TEST(TileRows, ProductsGoToRowsAndBack) {
-  for (const int channels : {2, 4}) {
-    const GridLayout layout = MakeGridLayout(2, 4, 8, channels);
-    const auto values = Uniforms(layout.n_features() * 19, 1, 2, 1);
-    const std::vector<float> features(values.begin(), values.end());
-    std::vector<float> rows(layout.n_features() * 40, 9.F), back(features.size());
-    ProductsToRows(features.data(), layout, 19, 40, rows.data());
-    EXPECT_EQ(rows[(4 * channels + 1) * 40 + 18], features[(4 * 19 + 18) * channels + 1]);
-    EXPECT_EQ(rows[31], 0);  // padding to whole vectors
-    EXPECT_EQ(rows[32], 9);
-    RowsToProducts(rows.data(), layout, 19, 40, back.data());
-    EXPECT_EQ(back, features);
-  }
-}
-
-TEST(TileRows, SpansAreWeightedMeansAndOneSampleIsItself) {
-  for (const int channels : {2, 4}) {
-    const GridLayout layout = MakeGridLayout(2, 4, 8, channels);
-    const auto values = Uniforms(layout.n_features() * 7, 1, 2, 1);
-    const std::vector<float> features(values.begin(), values.end());
-    const float weights[7] = {0.1F, 0.3F, 0.5F, 1e-4F, 0.7F, 0.2F, 0.9F};
-    const int64_t begins[2] = {3, 4}, ends[2] = {4, 7};
-    std::vector<float> rows(layout.n_features() * 16, 9.F);
-    MeansToRows(
-        {.n_samples = 7, .features = features.data(), .weights = weights, .n_spans = 2, .begins = begins, .ends = ends},
-        layout, 16, rows.data());
-    for (int p = 0; p < layout.n_products(); ++p) {
-      for (int c = 0; c < channels; ++c) {
-        const float* row = &rows[(p * channels + c) * 16];
-        const auto at = [&](int64_t i) { return double(features[(p * 7 + i) * channels + c]); };
-        ASSERT_EQ(row[0], float(at(3)));
-        double sum = 0, weight = 0;
-        for (int64_t i = 4; i < 7; ++i) {
-          sum += double(weights[i]) * at(i);
-          weight += double(weights[i]);
-        }
-        ASSERT_NEAR(row[1], sum / weight, 2e-6);  // values to 2, a few roundings
-        ASSERT_EQ(row[2], 0);                     // padding
-      }
-    }
-  }
-}
 
 TEST(DensityActivation, IsSoftplusAndItsDerivativeFromNothingToOpaque) {
   for (double f = -30; f < 40; f += 0.37) {

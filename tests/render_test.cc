@@ -280,7 +280,9 @@ TEST(RenderImageTest, IsTheRaysOfItsPixels) {
   for (size_t i = 0; i < image.rgb.size(); ++i) most = std::max(most, std::abs(fewer.rgb[i] - image.rgb[i]));
   EXPECT_GT(most, 0);
   EXPECT_LE(most, 0.02 + 1e-5);
-  EXPECT_EQ(fewer.opacity, image.opacity);
+  // Rays end where less than half the tolerance is left.
+  EXPECT_LT(fewer.n_samples, image.n_samples);
+  for (size_t i = 0; i < image.opacity.size(); ++i) ASSERT_NEAR(fewer.opacity[i], image.opacity[i], 0.01 + 1e-5);
   // Fewer points than samples, and more of them for a smaller error.
   EXPECT_LT(10 * fewer.n_shaded, 4 * image.n_shaded);
   options.colour_tolerance = 1e-6;

@@ -7,15 +7,15 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <vector>
 
+#include "model/kernels/activation.h"
 #include "model/kernels/ree.h"
 #include "model/kernels/tile_gemm.h"
 
 namespace nrff {
-
-enum class Activation { kGelu, kRelu };  // GELU by erf, as the authors' code; the paper says ReLU
 
 // Weight [n_out, n_in] row by row, bias [n_out].
 struct LinearLayer {
@@ -68,8 +68,8 @@ class ShadingTile {
  public:
   static constexpr int64_t kSamplesMultiple = 16;
 
-  // `backward`: whether Backward will be called; without it a tile keeps less.
-  ShadingTile(const ShadingNetworks& networks, bool backward);
+  // `backward`: whether Backward will be called; without it a tile keeps less. `precision`: of Forward's products.
+  ShadingTile(const ShadingNetworks& networks, bool backward, GemmPrecision precision = GemmPrecision::kFloat);
 
   // Room for so many samples.
   void Reserve(int64_t n_samples);
@@ -95,13 +95,15 @@ class ShadingTile {
 
  private:
   struct Hidden {
-    int after, derivative;  // first rows: of the activation, of its derivative
+    int after, derivative;  // first rows: of the activation, of its derivative (with backward alone)
   };
 
   int AddRows(int n);
   float* Row(int row) { return values_.data() + offset_ + row * stride_; }
   const float* Row(int row) const { return values_.data() + offset_ + row * stride_; }
 
+  void ForwardLayer(const LinearLayer& layer, const float* input, int64_t n, float* output,
+                    std::optional<Activation> activation = {}, float* derivative = nullptr) const;
   void ForwardNetwork(const std::vector<LinearLayer>& layers, const std::vector<Hidden>& hidden, int input, int output,
                       Activation activation, int64_t n);
   // d_output → d_input, by way of the rows scratch_[0] and scratch_[1].
@@ -111,6 +113,7 @@ class ShadingTile {
                      const ShadingGradients::Layer& gradient);
 
   bool backward_;
+  GemmPrecision precision_;
   int n_rows_ = 0;
   int64_t stride_ = 0, offset_ = 0;
   std::vector<float> values_, transposed_;

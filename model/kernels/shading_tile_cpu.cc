@@ -21,27 +21,6 @@ int64_t RoundUp(int64_t n, int64_t multiple) { return (n + multiple - 1) / multi
 // Row length of transposed inputs and of weight gradients.
 int64_t PaddedInputs(int n_in) { return RoundUp(n_in, kGemmColumns); }
 
-// after may be before.
-NRFF_MULTIVERSION void Activate(Activation activation, const float* before, int64_t n, float* after,
-                                float* derivative) {
-  if (activation == Activation::kRelu) {
-    NRFF_ROWS_DISTINCT
-    for (int64_t s = 0; s < n; ++s) {
-      const float x = before[s];
-      after[s] = x < 0 ? 0.F : x;  // NaN stays
-      derivative[s] = x > 0 ? 1.F : 0.F;
-    }
-  } else {
-    NRFF_ROWS_DISTINCT
-    for (int64_t s = 0; s < n; ++s) {
-      float gelu, slope;
-      FastGelu(before[s], gelu, slope);
-      after[s] = gelu;
-      derivative[s] = slope;
-    }
-  }
-}
-
 NRFF_MULTIVERSION void Scale(const float* factor, int64_t n, float* d) {
   NRFF_ROWS_DISTINCT
   for (int64_t s = 0; s < n; ++s) d[s] *= factor[s];
@@ -175,22 +154,6 @@ NRFF_MULTIVERSION void ColourBackward(const float* tint, const float* specular, 
   }
 }
 
-void ForwardLayer(const LinearLayer& layer, const float* input, int64_t n, int64_t stride, float* output) {
-  TileGemm({.m = layer.n_out,
-            .n = n,
-            .k = layer.n_in,
-            .a = layer.weight,
-            .a_row = layer.n_in,
-            .a_column = 1,
-            .packed_a = layer.packed,
-            .b = input,
-            .b_row = stride,
-            .c = output,
-            .c_row = stride,
-            .start = GemmStart::kBias,
-            .bias = layer.bias});
-}
-
 }  // namespace
 
 void PackedNetworks::Pack(ShadingNetworks& networks, bool backward) {
@@ -227,7 +190,8 @@ ShadingGradients::ShadingGradients(const ShadingNetworks& networks) {
 
 void ShadingGradients::Clear() { std::fill(values_.begin(), values_.end(), 0.F); }
 
-ShadingTile::ShadingTile(const ShadingNetworks& networks, bool backward) : backward_(backward) {
+ShadingTile::ShadingTile(const ShadingNetworks& networks, bool backward, GemmPrecision precision)
+    : backward_(backward), precision_(precision) {
   const int n_directional_in = networks.directional.front().n_in, n_lobes = networks.lobes.size();
   const auto add_hidden = [this](const std::vector<LinearLayer>& layers, std::vector<Hidden>& hidden) {
     for (const LinearLayer& layer : layers) {
@@ -253,10 +217,9 @@ ShadingTile::ShadingTile(const ShadingNetworks& networks, bool backward) : backw
   for (int& scratch : scratch_) scratch = AddRows(widest_);
   if (!backward_) {
     // Nothing is kept, so that the rows stay in the cache.
-    const int derivative = AddRows(1);
     for (auto [layers, hidden] :
          {std::pair(&networks.spatial, &spatial_hidden_), std::pair(&networks.directional, &directional_hidden_)}) {
-      for (size_t i = 0; i + 1 < layers->size(); ++i) hidden->push_back({scratch_[i % 2], derivative});
+      for (size_t i = 0; i + 1 < layers->size(); ++i) hidden->push_back({scratch_[i % 2], -1});
     }
     return;
   }
@@ -287,16 +250,36 @@ void ShadingTile::Reserve(int64_t n_samples) {
   if (backward_) transposed_.assign(stride * (PaddedInputs(widest_) + kLine), 0.F);
 }
 
+void ShadingTile::ForwardLayer(const LinearLayer& layer, const float* input, int64_t n, float* output,
+                               std::optional<Activation> activation, float* derivative) const {
+  TileGemm({.m = layer.n_out,
+            .n = n,
+            .k = layer.n_in,
+            .a = layer.weight,
+            .a_row = layer.n_in,
+            .a_column = 1,
+            .packed_a = layer.packed,
+            .b = input,
+            .b_row = stride_,
+            .c = output,
+            .c_row = stride_,
+            .start = GemmStart::kBias,
+            .bias = layer.bias,
+            .activation = activation,
+            .derivative = derivative,
+            .precision = precision_});
+}
+
 void ShadingTile::ForwardNetwork(const std::vector<LinearLayer>& layers, const std::vector<Hidden>& hidden, int input,
                                  int output, Activation activation, int64_t n) {
   for (size_t i = 0; i < layers.size(); ++i) {
     const bool last = i + 1 == layers.size();
-    float* to = Row(last ? output : hidden[i].after);
-    ForwardLayer(layers[i], Row(i == 0 ? input : hidden[i - 1].after), n, stride_, to);
-    if (last) break;
-    for (int r = 0; r < layers[i].n_out; ++r) {
-      float* row = to + r * stride_;
-      Activate(activation, row, n, row, Row(hidden[i].derivative + (backward_ ? r : 0)));
+    const float* from = Row(i == 0 ? input : hidden[i - 1].after);
+    if (last) {
+      ForwardLayer(layers[i], from, n, Row(output));
+    } else {
+      ForwardLayer(layers[i], from, n, Row(hidden[i].after), activation,
+                   backward_ ? Row(hidden[i].derivative) : nullptr);
     }
   }
 }
@@ -313,7 +296,7 @@ void ShadingTile::Forward(const ShadingNetworks& networks, int64_t n_samples) {
   }
   const LinearLayer& lobe_layer = networks.lobe_layer;
   for (int row = 0; row < networks.lobes.n_theta; ++row) {
-    ForwardLayer(lobe_layer, out + (kBottleneck + bottleneck + row * lobe_layer.n_in) * stride_, n, stride_,
+    ForwardLayer(lobe_layer, out + (kBottleneck + bottleneck + row * lobe_layer.n_in) * stride_, n,
                  Row(lobe_raw_ + row * lobe_layer.n_out));
   }
   for (int k = 0; k < networks.lobes.size(); ++k) {

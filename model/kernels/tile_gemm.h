@@ -3,6 +3,9 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
+
+#include "model/kernels/activation.h"
 
 namespace nrff {
 
@@ -10,6 +13,10 @@ namespace nrff {
 inline constexpr int64_t kGemmColumns = 16;
 
 enum class GemmStart { kZero, kBias, kSum };
+
+// kBf16: where the processor has a matrix unit, A and B may be rounded to bf16 (8 bits, |error| ≤ 2⁻⁹ |x|) and their
+// products summed in float, in a third of the time; elsewhere the same as kFloat.
+enum class GemmPrecision { kFloat, kBf16 };
 
 // 32-bit words that grow and start at a cache line; what was in them is lost.
 class AlignedWords {
@@ -38,7 +45,7 @@ class PackedOperand {
 };
 
 // C[i][j] = start + Σ_k A(i, k) B[k][j], for i < m, j < n; k in ascending order.
-// start: 0, bias[i], or C[i][j] as it was. n is a multiple of kGemmColumns.
+// start: 0, bias[i], or C[i][j] as it was. n is a multiple of kGemmColumns. With an activation C is that of the sum.
 struct GemmArgs {
   int64_t m = 0, n = 0, k = 0;
   const float* a = nullptr;  // A(i, k) = a[i · a_row + k · a_column]
@@ -50,11 +57,14 @@ struct GemmArgs {
   int64_t c_row = 0;
   GemmStart start = GemmStart::kZero;
   const float* bias = nullptr;
+  std::optional<Activation> activation = {};
+  float* derivative = nullptr;  // of the activation, rows as C's; or null
+  GemmPrecision precision = GemmPrecision::kFloat;
 };
 void TileGemm(const GemmArgs& args);
 
-// The same with B(k, j) = b[j · b_row + k]. scratch: the product's use, [k rounded up to 4][scratch_row], with
-// scratch_row ≥ n.
+// The same with B(k, j) = b[j · b_row + k], in float, without an activation. scratch: the product's use, [k rounded up
+// to 4][scratch_row], with scratch_row ≥ n.
 struct GemmScratch {
   float* values = nullptr;
   int64_t row = 0;

@@ -37,19 +37,12 @@ struct alignas(64) TileConfig {
   uint8_t rows[16] = {};
 };
 
-struct Split {
-  __m512i hi, lo;  // 16 pairs of bf16
-};
-
-NRFF_AMX_INLINE __m512i ToBf16(__m512 x) { return _mm512_cvtepu16_epi32((__m256i)_mm512_cvtneps_pbh(x)); }
-
-// Lane l is the pair (first[l], second[l]).
-NRFF_AMX_INLINE Split SplitPairs(__m512 first, __m512 second) {
-  const __m512i hi_first = _mm512_slli_epi32(ToBf16(first), 16), hi_second = _mm512_slli_epi32(ToBf16(second), 16);
-  const __m512i lo_first = ToBf16(first - _mm512_castsi512_ps(hi_first));
-  const __m512i lo_second = ToBf16(second - _mm512_castsi512_ps(hi_second));
-  return {_mm512_or_si512(_mm512_srli_epi32(hi_first, 16), hi_second),
-          _mm512_or_si512(lo_first, _mm512_slli_epi32(lo_second, 16))};
+// Lane l is the pair (first[l], second[l]), rounded.
+NRFF_AMX_INLINE __m512i RoundPairs(__m512 first, __m512 second) {
+  alignas(64) static constexpr uint16_t kInterleave[32] = {0,  16, 1,  17, 2,  18, 3,  19, 4,  20, 5,
+                                                           21, 6,  22, 7,  23, 8,  24, 9,  25, 10, 26,
+                                                           11, 27, 12, 28, 13, 29, 14, 30, 15, 31};
+  return _mm512_permutexvar_epi16(_mm512_load_si512(kInterleave), (__m512i)_mm512_cvtne2ps_pbh(second, first));
 }
 
 // Rows of 16 words → columns.
@@ -77,20 +70,28 @@ NRFF_AMX_INLINE void Transpose(__m512i rows[16]) {
   }
 }
 
-NRFF_AMX_INLINE void Store(const Split& split, uint32_t* to) {
-  _mm512_store_si512(to, split.hi);
-  _mm512_store_si512(to + kTileWords, split.lo);
+// The pairs as a row of a tile, and below it of the tile of what rounding left.
+template <GemmPrecision kPrecision>
+NRFF_AMX_INLINE void StorePairs(__m512 first, __m512 second, uint32_t* to) {
+  const __m512i hi = RoundPairs(first, second);
+  _mm512_store_si512(to, hi);
+  if constexpr (kPrecision == GemmPrecision::kFloat) {
+    const __m512 hi_first = _mm512_castsi512_ps(_mm512_slli_epi32(hi, 16));
+    const __m512 hi_second = _mm512_castsi512_ps(_mm512_and_si512(hi, _mm512_set1_epi32(int(0xFFFF0000U))));
+    _mm512_store_si512(to + kTileWords, RoundPairs(first - hi_first, second - hi_second));
+  }
 }
 
 // 32 neighbouring numbers from x on, zero from end on, as 16 pairs.
-NRFF_AMX_INLINE Split SplitRow(const float* x, const float* end) {
+NRFF_AMX_INLINE void StoreRow(const float* x, const float* end, uint32_t* to) {
   const __m512i even = _mm512_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
   const __m512i odd = _mm512_add_epi32(even, _mm512_set1_epi32(1));
   const auto n = uint32_t(std::min<int64_t>(kTileDepth, end - x));
   const uint32_t lanes = n == kTileDepth ? ~0U : (1U << n) - 1;
   const __m512 left = _mm512_maskz_loadu_ps(__mmask16(lanes), x);
   const __m512 right = _mm512_maskz_loadu_ps(__mmask16(lanes >> 16), x + 16);
-  return SplitPairs(_mm512_permutex2var_ps(left, even, right), _mm512_permutex2var_ps(left, odd, right));
+  StorePairs<GemmPrecision::kFloat>(_mm512_permutex2var_ps(left, even, right), _mm512_permutex2var_ps(left, odd, right),
+                                    to);
 }
 
 // The tile of columns k to k + 31 of 16 rows of a matrix, zero from row n_rows and column k_end on; hi, then lo.
@@ -98,12 +99,16 @@ NRFF_AMX_INLINE void PackRows(const float* matrix, int64_t row_length, int64_t n
                               uint32_t* to) {
   for (int64_t r = 0; r < kTileRows; ++r) {
     const float* row = matrix + r * row_length;
-    Store(r < n_rows ? SplitRow(row + k, row + k_end) : Split{_mm512_setzero_si512(), _mm512_setzero_si512()},
-          to + 16 * r);
+    if (r < n_rows) {
+      StoreRow(row + k, row + k_end, to + 16 * r);
+    } else {
+      StorePairs<GemmPrecision::kFloat>(_mm512_setzero_ps(), _mm512_setzero_ps(), to + 16 * r);
+    }
   }
 }
 
 // The tile of rows k to k + 31 of 16 columns, in pairs of rows; zero from row k_end and column n_columns on.
+template <GemmPrecision kPrecision>
 NRFF_AMX_INLINE void PackColumns(const float* matrix, int64_t row_length, int64_t n_columns, int64_t k, int64_t k_end,
                                  uint32_t* to) {
   const auto lanes = __mmask16(n_columns >= 16 ? ~0U : (1U << n_columns) - 1);
@@ -112,7 +117,7 @@ NRFF_AMX_INLINE void PackColumns(const float* matrix, int64_t row_length, int64_
     const float* row = matrix + at * row_length;
     const __m512 x = at < k_end ? _mm512_maskz_loadu_ps(lanes, row) : _mm512_setzero_ps();
     const __m512 y = at + 1 < k_end ? _mm512_maskz_loadu_ps(lanes, row + row_length) : _mm512_setzero_ps();
-    Store(SplitPairs(x, y), to + 16 * pair);
+    StorePairs<kPrecision>(x, y, to + 16 * pair);
   }
 }
 
@@ -131,22 +136,24 @@ NRFF_AMX_INLINE void PackTileOfA(const GemmArgs& args, int64_t i, int64_t k, int
   if (args.a_column == 1) {
     PackRows(args.a + i * args.a_row, args.a_row, args.m - i, k, k_end, to);
   } else {
-    PackColumns(args.a + i, args.a_column, args.m - i, k, k_end, to);
+    PackColumns<GemmPrecision::kFloat>(args.a + i, args.a_column, args.m - i, k, k_end, to);
     TransposeTile(to);
   }
 }
 
+template <GemmPrecision kPrecision>
 NRFF_AMX_INLINE void PackTileOfB(const GemmArgs& args, bool transposed, int64_t j, int64_t k, int64_t k_end,
                                  uint32_t* to) {
   if (transposed) {
     PackRows(args.b + j * args.b_row, args.b_row, args.n - j, k, k_end, to);
     TransposeTile(to);
   } else {
-    PackColumns(args.b + j, args.b_row, args.n - j, k, k_end, to);
+    PackColumns<kPrecision>(args.b + j, args.b_row, args.n - j, k, k_end, to);
   }
 }
 
 // Sums of a block of C into sums [32][32]. a: per 32 of k the tile of the upper 16 rows hi, lo, of the lower hi, lo.
+template <GemmPrecision kPrecision>
 NRFF_AMX_INLINE void MultiplyBlock(const uint32_t* a, const uint32_t* b, int64_t n_steps, bool lower, bool right,
                                    float* sums) {
   constexpr int64_t kRowBytes = 64;
@@ -163,15 +170,19 @@ NRFF_AMX_INLINE void MultiplyBlock(const uint32_t* a, const uint32_t* b, int64_t
     };
     _tile_loadd(4, a, kRowBytes);
     _tile_loadd(5, a + 2 * kTileWords, kRowBytes);
-    _tile_loadd(6, b + kTileWords, kRowBytes);
-    _tile_loadd(7, b + 3 * kTileWords, kRowBytes);
-    all();
+    if constexpr (kPrecision == GemmPrecision::kFloat) {
+      _tile_loadd(6, b + kTileWords, kRowBytes);
+      _tile_loadd(7, b + 3 * kTileWords, kRowBytes);
+      all();
+    }
     _tile_loadd(6, b, kRowBytes);
     _tile_loadd(7, b + 2 * kTileWords, kRowBytes);
     all();
-    _tile_loadd(4, a + kTileWords, kRowBytes);
-    _tile_loadd(5, a + 3 * kTileWords, kRowBytes);
-    all();
+    if constexpr (kPrecision == GemmPrecision::kFloat) {
+      _tile_loadd(4, a + kTileWords, kRowBytes);
+      _tile_loadd(5, a + 3 * kTileWords, kRowBytes);
+      all();
+    }
   }
   _tile_stored(0, sums, kBlock * sizeof(float));
   _tile_stored(1, sums + kTileRows, kBlock * sizeof(float));
@@ -179,15 +190,21 @@ NRFF_AMX_INLINE void MultiplyBlock(const uint32_t* a, const uint32_t* b, int64_t
   _tile_stored(3, sums + kTileRows * kBlock + kTileRows, kBlock * sizeof(float));
 }
 
-NRFF_AMX_INLINE void Finish(const GemmArgs& args, GemmStart start, int64_t i, int64_t j, const float* sums) {
+// A block of C from its sums. last: no more of k is to come.
+NRFF_AMX_INLINE void Finish(const GemmArgs& args, GemmStart start, bool last, int64_t i, int64_t j, const float* sums) {
   const int64_t n_rows = std::min(kBlock, args.m - i), n_columns = std::min(kBlock, args.n - j);
+  const bool activate = last && args.activation;
   for (int64_t r = 0; r < n_rows; ++r) {
-    float* c = args.c + (i + r) * args.c_row + j;
+    const int64_t at = (i + r) * args.c_row + j;
     const __m512 bias = _mm512_set1_ps(start == GemmStart::kBias ? args.bias[i + r] : 0.F);
     for (int64_t s = 0; s < n_columns; s += 16) {
-      const __m512 before = start == GemmStart::kSum ? _mm512_loadu_ps(c + s) : bias;
-      _mm512_storeu_ps(c + s, before + _mm512_load_ps(sums + r * kBlock + s));
+      float* c = args.c + at + s;
+      const __m512 before = start == GemmStart::kSum ? _mm512_loadu_ps(c) : bias;
+      _mm512_storeu_ps(c, before + _mm512_load_ps(sums + r * kBlock + s));
     }
+    if (!activate) continue;
+    ActivateInline(*args.activation, n_columns, args.c + at,
+                   args.derivative != nullptr ? args.derivative + at : nullptr);
   }
 }
 
@@ -206,6 +223,7 @@ NRFF_AMX_TARGET uint32_t* PackA(const GemmArgs& args, int64_t k_begin, int64_t k
   return a;
 }
 
+template <GemmPrecision kPrecision>
 NRFF_AMX_TARGET void Multiply(const GemmArgs& args, bool b_transposed) {
   thread_local AlignedWords words_of_a, words_of_b;
   TileConfig config;
@@ -225,14 +243,15 @@ NRFF_AMX_TARGET void Multiply(const GemmArgs& args, bool b_transposed) {
     for (int64_t j = 0; j < args.n; j += kBlock) {
       for (int64_t s = 0; s < n_steps; ++s) {
         for (int64_t half = 0; half < 2 && j + half * kTileRows < args.n; ++half) {
-          PackTileOfB(args, b_transposed, j + half * kTileRows, k_begin + s * kTileDepth, k_end,
-                      b + (4 * s + 2 * half) * kTileWords);
+          PackTileOfB<kPrecision>(args, b_transposed, j + half * kTileRows, k_begin + s * kTileDepth, k_end,
+                                  b + (4 * s + 2 * half) * kTileWords);
         }
       }
       // Tiles beyond m and n are loaded, but not used.
       for (int64_t i = 0; i < args.m; i += kBlock) {
-        MultiplyBlock(a + i / kBlock * panel, b, n_steps, i + kTileRows < args.m, j + kTileRows < args.n, sums);
-        Finish(args, start, i, j, sums);
+        MultiplyBlock<kPrecision>(a + i / kBlock * panel, b, n_steps, i + kTileRows < args.m, j + kTileRows < args.n,
+                                  sums);
+        Finish(args, start, k_end == args.k, i, j, sums);
       }
     }
   }
@@ -259,7 +278,13 @@ bool AmxAvailable() {
 
 bool AmxCanPack(const GemmArgs& args) { return AmxAvailable() && AmxPays(args) && args.k <= kDepth; }
 void AmxPack(const GemmArgs& args, AlignedWords& words) { PackA(args, 0, args.k, words); }
-void TileGemmAmx(const GemmArgs& args, bool b_transposed) { Multiply(args, b_transposed); }
+void TileGemmAmx(const GemmArgs& args, bool b_transposed) {
+  if (args.precision == GemmPrecision::kBf16) {
+    Multiply<GemmPrecision::kBf16>(args, b_transposed);
+  } else {
+    Multiply<GemmPrecision::kFloat>(args, b_transposed);
+  }
+}
 
 #else
 

@@ -3,7 +3,7 @@
 // Every operand is split into two bf16 numbers, x = hi + lo with |x − hi − lo| ≤ 2⁻¹⁸ |x|, and three of the four
 // products are summed in float: Σ hi·hi + hi·lo + lo·hi. A product is off by 2⁻¹⁶ of itself at the most, without a
 // bias: near float's rounding of a sum of a few hundred, at a third of the unit's bf16 rate. Denormal numbers count
-// as zero, and what is not finite comes out as NaN or infinity.
+// as zero, and what is not finite comes out as NaN or infinity. GemmPrecision::kBf16 leaves out lo.
 #pragma once
 
 #include "model/kernels/tile_gemm.h"

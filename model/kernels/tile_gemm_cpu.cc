@@ -125,6 +125,11 @@ void TileGemm(const GemmArgs& args) {
 #else
   GemmOfAnyCpu(args);
 #endif
+  if (!args.activation) return;
+  for (int64_t i = 0; i < args.m; ++i) {
+    float* derivative = args.derivative != nullptr ? args.derivative + i * args.c_row : nullptr;
+    ActivateRow(*args.activation, args.n, args.c + i * args.c_row, derivative);
+  }
 }
 
 void TileGemmTransposed(const GemmArgs& args, const GemmScratch& scratch) {

@@ -64,6 +64,7 @@ class Bench {
   void Prepare(const std::filesystem::path& out) {
     std::vector<TensorToWrite> tensors;
     std::vector<PixelSource::Batch> batches;
+    batches.reserve(kBatches);
     for (int i = 0; i < kBatches; ++i) batches.push_back(pixels_.Draw(kRays, kSeed, uint64_t(i)));
     const auto add = [&](const std::string& name, const torch::Tensor& tensor) {
       tensors.push_back({name, DType::kF32, tensor.sizes().vec(), tensor.const_data_ptr<float>()});
