@@ -6,6 +6,7 @@
 namespace nrff {
 namespace {
 
+constexpr float kPairWeight = 30;      // in tolerances: neighbours of less together are one sample
 constexpr float kFirstWeight = 0.25F;  // of a span at first
 constexpr int64_t kMostSamples = 16;   // in a span
 constexpr float kGap = 3.5F;           // steps: samples farther apart lie on different surfaces
@@ -16,17 +17,8 @@ constexpr float kCaution = 4;
 
 void RayQuadrature::Integrate(const RayBlock& block, const float* directions, double step, float tolerance,
                               RadianceField::Shader& shader) {
-  const size_t n = block.shaded.size();
-  offsets_ = block.shaded_offsets;
-  points_.resize(3 * n);
-  weights_.resize(n);
-  t_.resize(n);
-  for (size_t i = 0; i < n; ++i) {
-    const int64_t sample = block.shaded[i];
-    std::copy_n(&block.points[3 * sample], 3, &points_[3 * i]);
-    weights_[i] = block.weights[sample];
-    t_[i] = block.t[sample];
-  }
+  Gather(block, static_cast<float>(step), tolerance);
+  const size_t n = weights_.size();
   n_shaded = 0;
   Start(static_cast<float>(step), tolerance);
   if (n > 0) {
@@ -42,6 +34,38 @@ void RayQuadrature::Integrate(const RayBlock& block, const float* directions, do
       rgb[3 * span.ray + c] += span.weight * span.rgb[c];
       normals[3 * span.ray + c] += span.weight * span.normal[c];
     }
+  }
+}
+
+void RayQuadrature::Gather(const RayBlock& block, float step, float tolerance) {
+  points_.clear();
+  weights_.clear();
+  t_.clear();
+  offsets_.assign(1, 0);
+  for (int64_t r = 0; r < block.n_rays; ++r) {
+    bool single = false;  // whether the last sample may get a second
+    float last_t = 0;
+    for (int64_t i = block.shaded_offsets[r]; i < block.shaded_offsets[r + 1]; ++i) {
+      const int64_t sample = block.shaded[i];
+      const float weight = block.weights[sample], t = block.t[sample];
+      const float* point = &block.points[3 * sample];
+      single = single && t - last_t < 1.5F * step && weights_.back() + weight < kPairWeight * tolerance;
+      last_t = t;
+      if (single) {
+        weights_.back() += weight;
+        const float share = weight / weights_.back();
+        t_.back() += share * (t - t_.back());
+        float* mean = &points_[points_.size() - 3];
+        for (int k = 0; k < 3; ++k) mean[k] += share * (point[k] - mean[k]);
+        single = false;
+      } else {
+        points_.insert(points_.end(), point, point + 3);
+        weights_.push_back(weight);
+        t_.push_back(t);
+        single = tolerance > 0;
+      }
+    }
+    offsets_.push_back(static_cast<int64_t>(weights_.size()));
   }
 }
 

@@ -1,10 +1,11 @@
 // Colours of rays with as few shaded points as a tolerance allows: adaptive quadrature of Σ w c along a ray.
 //
-// The samples of a ray are taken in spans, first of a quarter of a ray's light each. A span is shaded once, with the
-// weighted mean of what its samples have in common (RadianceField::Shader): exact where colour is linear in that, else
-// off by about ½ c'' w Var(t). How large c'' may be is seen from the neighbouring spans' colours; spans for which that
-// is too much are halved and shaded anew. On the paper's model at the tolerance of 8-bit pictures a tenth of the
-// samples is shaded, and pictures agree to 63 dB with those of all samples (tests/bench/results/views.json).
+// Neighbouring samples of little weight become one, at their mean. These are taken in spans, first of a quarter of a
+// ray's light each. A span is shaded once, with the weighted mean of what its samples have in common
+// (RadianceField::Shader): exact where colour is linear in that, else off by about ½ c'' w Var(t). How large c'' may be
+// is seen from the neighbouring spans' colours; spans for which that is too much are halved and shaded anew. On the
+// paper's model at the tolerance of 8-bit pictures a tenth as many points are shaded as there are samples, and pictures
+// agree to 62 dB with those of all samples (tests/bench/results/views.json).
 #pragma once
 
 #include <cstdint>
@@ -34,6 +35,8 @@ class RayQuadrature {
     float rgb[3], normal[3];
   };
 
+  // The selected samples, or pairs of them.
+  void Gather(const RayBlock& block, float step, float tolerance);
   void Start(float step, float tolerance);
   void AddSpan(int64_t ray, int64_t begin, int64_t end);
   void ShadeNew(const float* directions, RadianceField::Shader& shader);
@@ -41,8 +44,8 @@ class RayQuadrature {
   bool Split(float tolerance);
   float ErrorEstimate(size_t span) const;
 
-  std::vector<int64_t> offsets_;             // [n_rays + 1]: block.shaded_offsets
-  std::vector<float> points_, weights_, t_;  // of the selected samples
+  std::vector<int64_t> offsets_;             // [n_rays + 1]: where a ray's samples begin
+  std::vector<float> points_, weights_, t_;  // of the samples, or pairs
   std::vector<Span> spans_, split_;          // by ray, front to back
   std::vector<size_t> new_;                  // of spans_
   std::vector<RadianceField::Shader::Span> new_samples_;

@@ -10,7 +10,7 @@ Same state: a model of the paper's size is trained for a few minutes at 200 px a
 shrank to, the marching step of the schedule's last stage (1/600 of the box) and the same batches of 4096 rays. Each side
 makes its own occupancy mask from that model by its own rule. A step is rays, loss (MSE, orientation, density L1),
 gradients and Adam; `--steps A B` are timed per round after one that is not. The view is 200 x 200; ours,
-as nrff-render does, shades spans of samples within about half an 8-bit step (step_bench views has what that changes).
+as nrff-render does, with a colour tolerance of half an 8-bit step (step_bench views has what that changes).
 Before timing, the first batch is compared without jitter and masks: loss, and the gradient of every parameter against
 the authors' code in double precision.
 """
@@ -88,10 +88,10 @@ class Authors:
         self.model.nSamples = int((self.model.aabbDiag / self.model.stepSize).item()) + 1
 
     def grids(self, density):
-        """(name of ours, their tensors in our order) level by level."""
+        """Their planes and lines in our order, level by level."""
         field = self.model.density_field if density else self.model.appearance_field
         for level in field.tensors:
-            yield level, [(level.plane_yz, level.line_x), (level.plane_xz, level.line_y), (level.plane_xy, level.line_z)]
+            yield [level.plane_yz, level.plane_xz, level.plane_xy], [level.line_x, level.line_y, level.line_z]
 
     def layers(self):
         net = self.model.rendering_net
@@ -104,13 +104,12 @@ class Authors:
     def copy_grid(self, flat, density, read):
         """Between our flat channels-last buffer and their planes and lines: read(theirs, our slice)."""
         at = 0
-        for _, pairs in self.grids(density):
-            for tensors in (p[0] for p in pairs), (p[1] for p in pairs):
-                for tensor in tensors:
-                    _, c, rows, columns = tensor.shape
-                    n = c * rows * columns
-                    read(tensor, flat[at:at + n].reshape(1, rows, columns, c).permute(0, 3, 1, 2))
-                    at += n
+        for planes, lines in self.grids(density):
+            for tensor in planes + lines:
+                _, c, rows, columns = tensor.shape
+                n = c * rows * columns
+                read(tensor, flat[at:at + n].reshape(1, rows, columns, c).permute(0, 3, 1, 2))
+                at += n
         assert at == flat.numel(), (at, flat.numel())
 
     def load(self):

@@ -3,7 +3,8 @@
 
     tests/bench/budgets.py DATA_DIR OUT.json [--budgets 1m 5m ...] [--only NAME ...] [--seeds 0 1 2]
 
-The machine should have nothing else to do. OUT.md is written beside OUT.json. Workspaces are kept in --work: what is
+The machine should have nothing else to do. OUT.md is written beside OUT.json; rows of OUT.json that are not measured
+again stay, so that it should be of one kind of machine. Workspaces are kept in --work: what is
 complete is not run again, and poses are estimated once per capture. Python's standard library only.
 """
 
@@ -48,7 +49,8 @@ def measure(nrff, source, size, budget, seed, poses, workspace):
     train, evaluation = manifest(workspace, "train"), manifest(workspace, "eval")
     facts = train["facts"]
     return {
-        "budget": budget, "seed": seed, "psnr": evaluation["facts"]["psnr"], "ssim": evaluation["facts"]["ssim"],
+        "date": datetime.date.today().isoformat(), "budget": budget, "seed": seed,
+        "psnr": evaluation["facts"]["psnr"], "ssim": evaluation["facts"]["ssim"],
         "n_images": evaluation["facts"]["n_images"], "train_psnr": facts["train_psnr"],
         "seconds_training": facts["seconds_training"], "seconds_evaluating": facts["seconds_evaluating"],
         "steps": facts["steps"], "samples": facts["samples"], "n_parameters": facts["n_parameters"],
@@ -61,17 +63,17 @@ def measure(nrff, source, size, budget, seed, poses, workspace):
 def table(result):
     host = result["machine"]
     lines = ["# Quality by training time on a CPU", "",
-             f"Made by `tests/bench/budgets.py` on {result['date']} with {result['version']} on {host['cpu']}, "
+             f"Made by `tests/bench/budgets.py` with {result['version']} on {host['cpu']}, "
              f"{host['cores']} cores. {result['protocol']}", "",
              "| capture | px | budget | seed | training, s | evaluating, s | steps | PSNR, dB | SSIM | training views, dB | "
-             "peak memory, MiB | s a view |", "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|"]
+             "peak memory, MiB | s a view | date |", "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---|"]
     for capture in result["captures"]:
         for entry in capture["runs"]:
             lines.append(
                 f"| {capture['name']} | {capture['max_image_size']} | {entry['budget']} | {entry['seed']} | "
                 f"{entry['seconds_training']:.1f} | {entry['seconds_evaluating']:.1f} | {entry['steps']} | "
                 f"{entry['psnr']:.2f} | {entry['ssim']:.3f} | {entry['train_psnr']:.2f} | "
-                f"{entry['peak_memory_bytes'] >> 20} | {entry['seconds_per_view']:.3f} |")
+                f"{entry['peak_memory_bytes'] >> 20} | {entry['seconds_per_view']:.3f} | {entry['date']} |")
     return "\n".join(lines) + "\n"
 
 
@@ -86,24 +88,29 @@ def main():
     parser.add_argument("--nrff", type=pathlib.Path, default=HERE / "../../build/bin/nrff")
     arguments = parser.parse_args()
     result = {
-        "date": datetime.date.today().isoformat(),
         "version": subprocess.run([arguments.nrff, "--version"], capture_output=True, text=True,
                                   check=True).stdout.strip(),
         "machine": machine(),
         "protocol": "Default preset; all held-out views (the data set's test split, or the first of every "
                     "eight photos by name); PSNR per image on 8-bit renderings, then the mean; SSIM on RGB, 11 x 11 "
                     "Gaussian, valid border; \"training views\" is the running mean over the last batches.",
-        "captures": [],
+        "captures": json.loads(arguments.out.read_text())["captures"] if arguments.out.exists() else [],
     }
     for name in arguments.only:
         source, size, budgets = CAPTURES[name]
-        capture = {"name": name, "source": source, "max_image_size": size, "runs": []}
-        result["captures"].append(capture)
+        capture = next((c for c in result["captures"] if c["name"] == name), None)
+        if capture is None:
+            capture = {"name": name, "source": source, "max_image_size": size, "runs": []}
+            result["captures"].append(capture)
         for budget, seed in itertools.product(arguments.budgets or budgets, arguments.seeds):
             workspace = arguments.work / (f"{name}-{budget}" + (f"-seed-{seed}" if seed else ""))
-            capture["runs"].append(measure(arguments.nrff, arguments.data / source, size, budget, seed,
-                                           arguments.work / name, workspace))
-            print(f"{name} {budget}: {capture['runs'][-1]['psnr']:.2f} dB", flush=True)
+            entry = measure(arguments.nrff, arguments.data / source, size, budget, seed, arguments.work / name, workspace)
+            same = [i for i, old in enumerate(capture["runs"]) if (old["budget"], old["seed"]) == (budget, seed)]
+            if same:
+                capture["runs"][same[0]] = entry
+            else:
+                capture["runs"].append(entry)
+            print(f"{name} {budget}: {entry['psnr']:.2f} dB", flush=True)
             arguments.out.write_text(json.dumps(result, indent=1) + "\n")
             arguments.out.with_suffix(".md").write_text(table(result))
 
