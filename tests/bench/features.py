@@ -61,16 +61,14 @@ def hold_out_training_views(source, target, fold):
         view["split"] = "test" if index % every == (every // 2 + fold) % every else "train"
     new_index = {old: new for new, old in enumerate(kept)}
     depths = b""
-    known = (source / "depths.bin").read_bytes() if (source / "depths.bin").exists() else b""
-    for view, *rest in DEPTH_RECORD.iter_unpack(known):
+    for view, *rest in DEPTH_RECORD.iter_unpack((source / "depths.bin").read_bytes()):
         new = new_index.get(view)
         if new is not None and views[new]["split"] == "train":
             depths += DEPTH_RECORD.pack(new, *rest)
     shutil.rmtree(target, ignore_errors=True)
     target.mkdir(parents=True)
     (target / "scene.json").write_text(json.dumps({**scene, "views": views}))
-    if known:
-        (target / "depths.bin").write_bytes(depths)
+    (target / "depths.bin").write_bytes(depths)
     os.link(source / "images.u8", target / "images.u8")
     manifest = json.loads((source / "manifest.json").read_text())
     manifest["outputs"] = [output for output in manifest["outputs"] if (target / output["path"]).exists()]
