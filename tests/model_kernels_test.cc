@@ -196,7 +196,8 @@ TEST_P(FeatureGrid, CoordinatesThatAreNotNumbersReadTheFirstNode) {
 INSTANTIATE_TEST_SUITE_P(Channels, FeatureGrid, ::testing::Values(2, 4));
 
 TEST(DensityActivation, IsSoftplusAndItsDerivativeFromNothingToOpaque) {
-  for (double f = -30; f < 40; f += 0.37) {
+  for (int i = 0; i < 190; ++i) {
+    const double f = -30 + 0.37 * i;
     auto sigma = float(f), d = 2.F;
     DensitiesFromFeatures(25, -4, 1, &sigma);
     DensityGradients(25, &sigma, 1, &d);
@@ -208,7 +209,8 @@ TEST(DensityActivation, IsSoftplusAndItsDerivativeFromNothingToOpaque) {
 }
 
 TEST(FastMath, GeluAndItsDerivative) {
-  for (double x = -9; x < 9; x += 0.013) {
+  for (int i = 0; i < 1385; ++i) {
+    const double x = -9 + 0.013 * i;
     const double exact = float(x), cdf = 0.5 * std::erfc(-exact / std::numbers::sqrt2);
     const double pdf = std::exp(-exact * exact / 2) / std::sqrt(2 * std::numbers::pi);
     float gelu = 0, derivative = 0;
