@@ -195,7 +195,7 @@ ShadingNetworks NrffField::Networks() const {
 
 namespace {
 
-// From this tolerance on products are in bf16: pictures of the paper's model move by 4e-5 (root mean square) and by
+// From this tolerance on products are in bf16, not bounded by it: pictures of the paper's model move by 4e-5 (root mean square) and by
 // 0.003 at the most (measured on the view of tests/bench/step.cc, nearly every sample shaded by itself).
 constexpr double kBf16Tolerance = 0.25 / 255;
 

@@ -131,6 +131,8 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options) {
   add("--preset", options.preset, "NAME", "paper, small or tiny (default: by the budget)");
   add("--set", options.set, "SETTINGS", "Changes of the preset, as 'field.levels=10'")->check(CheckSettings);
   auto* budget = add("--budget", options.budget, "TIME", "Train the best model in this time: 90s, 10m, 1h");
+  budget->check(
+      [](const std::string& text) { return std::string(text.empty() ? "give a time, as 90s, 10m, 1h" : ""); });
   add("--steps", options.steps, "N", "Training steps; not with --budget")->check(CheckPositive)->excludes(budget);
   add("--max-image-size", options.max_image_size, "PX",
       "Shrink photos to this side (default: " + std::to_string(kMaxImageSize) + ")")

@@ -111,7 +111,7 @@ Decision SparseDepth(size_t n_depths, bool unbounded) {
 
 Decision SmallModel(double steps_per_second, double budget_seconds, bool unbounded) {
   const auto steps = static_cast<int64_t>(steps_per_second * budget_seconds);
-  const int64_t fewest = unbounded ? 3000 : 1000;
+  const int64_t fewest = unbounded ? 1500 : 700;
   const bool needed = steps >= fewest;
   return {"small_model", needed,
           std::to_string(steps) + " steps of the preset small fit in " +

@@ -88,7 +88,8 @@ void AddForcedOption(CLI::App& app, const std::string& name, std::optional<bool>
 double ParseDuration(const std::string& text, const std::string& option) {
   const double seconds = SecondsIn(text);
   if (!(seconds >= 1 && seconds < 1e9)) {
-    throw UsageError(option + " is '" + text + "': give a time of a second or more, as 90s, 10m, 1h or 1h30m");
+    throw UsageError(option + " is '" + text +
+                     "': give a time of a second or more, as 90s, 10m, 1h or 1h30m; a number alone is seconds");
   }
   return seconds;
 }

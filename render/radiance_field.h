@@ -37,7 +37,7 @@ class RadianceField {
     };
     // The samples of the spans to come: points [n, 3], weights [n] > 0.
     virtual void SetSamples(const float* points, const float* weights, int64_t n) = 0;
-    // spans [n], ray_directions [n, 3] → rgb, normals [n, 3]. A span of one sample shows exactly its colour.
+    // spans [n], ray_directions [n, 3] → rgb, normals [n, 3]. A span of one sample shows its colour.
     virtual void Shade(const Span* spans, const float* ray_directions, int64_t n, float* rgb, float* normals) = 0;
   };
   // For the use of one thread; the field must outlive it. colour_tolerance: by how much colours may be off for speed.

@@ -6,7 +6,7 @@
 namespace nrff {
 namespace {
 
-constexpr float kPairWeight = 30;      // in tolerances: neighbours of less together are one sample
+constexpr float kPairWeight = 30;      // in tolerances: neighbours of less together are one sample, for good
 constexpr float kFirstWeight = 0.25F;  // of a span at first
 constexpr int64_t kMostSamples = 16;   // in a span
 constexpr float kGap = 3.5F;           // steps: samples farther apart lie on different surfaces

@@ -29,7 +29,7 @@ class RayQuadrature {
  private:
   struct Span {
     int64_t ray;
-    RadianceField::Shader::Span samples;  // of those selected
+    RadianceField::Shader::Span samples;  // or pairs
     float weight, t, variance;            // sum; mean and variance along the ray
     bool shaded;
     float rgb[3], normal[3];

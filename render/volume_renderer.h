@@ -36,8 +36,8 @@ struct RenderOptions {
   double weight_threshold = 1e-4;  // samples with w ≤ this are not shaded: colour error ≤ Σ of the weights left out
   // RenderImage alone: about how far a pixel's colour may be off to save shading; 0: every sample above the threshold
   // is shaded. Of these, those of least weight are left out as long as their weights sum to at most this: they take the
-  // mean colour of the others. The rest is shaded in spans (ray_quadrature.h), whose error is estimated, not bounded,
-  // by networks that may round (RadianceField::MakeShader). Rays end where half of this is left of the light.
+  // mean colour of the others. The rest is shaded in pairs and spans (ray_quadrature.h), whose error is estimated, not
+  // bounded, by networks that may round (RadianceField::MakeShader). Rays end where half of this is left of the light.
   double colour_tolerance = 0;
   double stop_transmittance = 1e-4;  // a ray ends when T falls below; exact for the set w > threshold when ≤ it
   double background = 1;             // grey level behind everything

@@ -133,6 +133,7 @@ TEST_F(DriverTest, OptionGoesToItsStageAndMakesThatAndWhatFollowsStale) {
   RunFox({"--preset", "tiny", "--budget", "60s", "--threads", "1"});
   EXPECT_THAT(Ran(), IsEmpty());
   EXPECT_EQ(RunFox({"--steps", "20", "--budget", "1m"}).exit_code, 2);
+  EXPECT_EQ(RunFox({"--budget", ""}).exit_code, 2);
 }
 
 TEST_F(DriverTest, ForcedDecisionsGoToTheStagesThatMakeThem) {

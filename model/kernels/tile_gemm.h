@@ -1,4 +1,4 @@
-// Matrix products of the networks' tiles (network_tile.h): small, in cache, one thread.
+// Matrix products of the networks' tiles (shading_tile.h): small, in cache, one thread.
 #pragma once
 
 #include <cstdint>
@@ -44,7 +44,7 @@ class PackedOperand {
   bool packed_ = false;
 };
 
-// C[i][j] = start + Σ_k A(i, k) B[k][j], for i < m, j < n; k in ascending order.
+// C[i][j] = start + Σ_k A(i, k) B[k][j], for i < m, j < n.
 // start: 0, bias[i], or C[i][j] as it was. n is a multiple of kGemmColumns. With an activation C is that of the sum.
 struct GemmArgs {
   int64_t m = 0, n = 0, k = 0;
