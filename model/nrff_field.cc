@@ -195,8 +195,8 @@ ShadingNetworks NrffField::Networks() const {
 
 namespace {
 
-// From this tolerance on products are in bf16, not bounded by it: pictures of the paper's model move by 4e-5 (root mean square) and by
-// 0.003 at the most (measured on the view of tests/bench/step.cc, nearly every sample shaded by itself).
+// From this tolerance on products are in bf16. What that changes is measured, not bounded: a view of the paper's model
+// (that of tests/bench/step.cc, nearly every sample shaded by itself) moves by 4e-5 root mean square, 0.003 at the most.
 constexpr double kBf16Tolerance = 0.25 / 255;
 
 class TileShader : public RadianceField::Shader {

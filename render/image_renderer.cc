@@ -52,7 +52,7 @@ class TileRenderer {
     CameraRaysCpu(CameraRaysArgs<float>{
         .n_rays = n, .cameras = &camera_, .pixels = pixels_, .origins = origins_, .directions = directions_});
     args_.n_rays = n;
-    // What lies behind may be off by as much, since it weighs no more.
+    // What a ray has not met when it ends weighs no more than this.
     const double stop = std::max(options_.stop_transmittance, 0.5 * options_.colour_tolerance);
     block_.Trace(field_, args_, 0, n, static_cast<float>(stop));
     const auto tolerance = static_cast<float>(options_.colour_tolerance);

@@ -280,9 +280,14 @@ TEST(RenderImageTest, IsTheRaysOfItsPixels) {
   for (size_t i = 0; i < image.rgb.size(); ++i) most = std::max(most, std::abs(fewer.rgb[i] - image.rgb[i]));
   EXPECT_GT(most, 0);
   EXPECT_LE(most, 0.02 + 1e-5);
-  // Rays end where less than half the tolerance is left.
+  // Rays end where less than half the tolerance is left of the light; until then nothing differs. The ball's
+  // exponential may differ in the last bit between batches of different sizes.
   EXPECT_LT(fewer.n_samples, image.n_samples);
-  for (size_t i = 0; i < image.opacity.size(); ++i) ASSERT_NEAR(fewer.opacity[i], image.opacity[i], 0.01 + 1e-5);
+  for (size_t i = 0; i < image.opacity.size(); ++i) {
+    const float missed = image.opacity[i] - fewer.opacity[i];
+    ASSERT_GE(missed, -1e-6F);
+    ASSERT_LE(missed, fewer.opacity[i] < 1 - 0.01F ? 1e-6F : 0.01F);
+  }
   // Fewer points than samples, and more of them for a smaller error.
   EXPECT_LT(10 * fewer.n_shaded, 4 * image.n_shaded);
   options.colour_tolerance = 1e-6;

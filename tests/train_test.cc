@@ -325,12 +325,7 @@ TEST_F(TrainStage, ABudgetTooShortForSmallTakesTiny) {
   RunTraining(request, {});
   const Manifest manifest = RequireArtifact(request.out, "train");
   EXPECT_EQ(manifest.facts.at("preset"), "tiny");
-#ifdef __SANITIZE_ADDRESS__
-  constexpr double kOneStep = 2;  // seconds, at the most
-#else
-  constexpr double kOneStep = 0.2;
-#endif
-  EXPECT_NEAR(manifest.facts.at("seconds_training").get<double>(), 1, kOneStep);
+  EXPECT_NEAR(manifest.facts.at("seconds_training").get<double>(), 1, 0.2);
   const Decision& decision = manifest.decisions.back();
   EXPECT_EQ(decision.feature, "small_model");
   EXPECT_FALSE(decision.needed);

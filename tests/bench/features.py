@@ -80,12 +80,16 @@ def hold_out_training_views(source, target, fold):
             "n_depths": len(depths) // DEPTH_RECORD.size}
 
 
+def facts_of_training(nrff, scene, out, *options):
+    """Of a model trained anew in `out`."""
+    shutil.rmtree(out, ignore_errors=True)
+    run([nrff.with_name("nrff-train"), "--scene", scene, "--out", out, "--quiet", *options])
+    return json.loads((out / "manifest.json").read_text())["facts"]
+
+
 def train(job):
     nrff, scene, out, arm, steps, seed = job
-    shutil.rmtree(out, ignore_errors=True)
-    run([nrff.with_name("nrff-train"), "--scene", scene, "--out", out, "--steps", steps, "--threads", 1,
-         "--seed", seed, "--quiet", *ARMS[arm]])
-    facts = json.loads((out / "manifest.json").read_text())["facts"]
+    facts = facts_of_training(nrff, scene, out, "--steps", steps, "--threads", 1, "--seed", seed, *ARMS[arm])
     print(f"{out.name}: {facts['curve'][-1]['psnr']:.2f} dB", flush=True)
     return {"psnr": facts["curve"][-1]["psnr"], "seconds": facts["seconds_training"],
             "finest_level": facts["settings"]["field"]["max_resolution"]}

@@ -12,20 +12,17 @@ import argparse
 import datetime
 import json
 import pathlib
-import shutil
 import subprocess
 
 from captures_table import machine
-from features import hold_out_training_views, run
+from features import facts_of_training, hold_out_training_views, run
 
 HERE = pathlib.Path(__file__).resolve().parent
 CAPTURES = {"lego": ("scenes/lego_nsvf_400", 200), "fox": ("scenes/fox/images", 384)}
 
 
 def train(nrff, scene, out, preset, budget):
-    shutil.rmtree(out, ignore_errors=True)
-    run([nrff.with_name("nrff-train"), "--scene", scene, "--out", out, "--preset", preset, "--budget", budget, "--quiet"])
-    facts = json.loads((out / "manifest.json").read_text())["facts"]
+    facts = facts_of_training(nrff, scene, out, "--preset", preset, "--budget", budget)
     return {"budget": budget, "preset": preset, "psnr": facts["curve"][-1]["psnr"], "steps": facts["steps"],
             "seconds_training": facts["seconds_training"]}
 
