@@ -220,6 +220,18 @@ TEST(FastMath, GeluAndItsDerivative) {
   }
 }
 
+TEST(FastMath, GeluOfLargeNumbers) {
+  for (const float x : {12.F, 13.F, 1e4F, 1e30F}) {
+    float gelu = 0, derivative = 0;
+    FastGelu(x, gelu, derivative);
+    EXPECT_EQ(gelu, x);
+    EXPECT_EQ(derivative, 1);
+    FastGelu(-x, gelu, derivative);
+    EXPECT_EQ(gelu, 0);
+    EXPECT_NEAR(derivative, 0, 1e-30);
+  }
+}
+
 // raw such that softplus(raw − 1) = x
 double RawOf(double x) { return std::log(std::expm1(x)) + 1; }
 

@@ -111,6 +111,33 @@ TEST(TileGemm, AnActivationIsThatOfTheSumAndHasItsDerivative) {
   }
 }
 
+TEST(TileGemm, AFactorScalesTheSum) {
+  constexpr int64_t kM = 49, kN = 112, kRow = kN + 3;
+  for (const int64_t k : {17, 545}) {
+    const auto a = Uniforms(kM * k, -1, 1, 1), b = Uniforms(k * kN, -1, 1, 2), f = Uniforms(kM * kRow, -1, 1, 3);
+    const std::vector<float> af(a.begin(), a.end()), bf(b.begin(), b.end()), factor(f.begin(), f.end());
+    std::vector<float> sum(kM * kRow, 7.F), scaled = sum;
+    GemmArgs args{.m = kM,
+                  .n = kN,
+                  .k = k,
+                  .a = af.data(),
+                  .a_row = k,
+                  .a_column = 1,
+                  .b = bf.data(),
+                  .b_row = kN,
+                  .c = sum.data(),
+                  .c_row = kRow};
+    TileGemm(args);
+    args.c = scaled.data();
+    args.factor = factor.data();
+    TileGemm(args);
+    for (int64_t at = 0; at < kM * kRow; ++at) {
+      const float expected = at % kRow >= kN ? 7 : sum[at] * factor[at];
+      ASSERT_NEAR(scaled[at], expected, 1e-6 * std::max(1.F, std::abs(sum[at])));
+    }
+  }
+}
+
 TEST(TileTranspose, TwiceIsTheMatrixItself) {
   const auto values = Uniforms(12 * 20, -1, 1, 1);
   const std::vector<float> from(values.begin(), values.end());

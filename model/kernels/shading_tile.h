@@ -109,7 +109,8 @@ class ShadingTile {
   // d_output → d_input, by way of the rows scratch_[0] and scratch_[1].
   void BackwardNetwork(const std::vector<LinearLayer>& layers, const std::vector<Hidden>& hidden, int input,
                        int d_output, int d_input, int64_t n, std::span<const ShadingGradients::Layer> gradients);
-  void BackwardLayer(const LinearLayer& layer, int input, int d_output, int d_input, int64_t n,
+  // derivative: of the activation that made `input`, or null.
+  void BackwardLayer(const LinearLayer& layer, int input, const float* derivative, int d_output, int d_input, int64_t n,
                      const ShadingGradients::Layer& gradient);
 
   bool backward_;

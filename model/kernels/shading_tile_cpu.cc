@@ -21,11 +21,6 @@ int64_t RoundUp(int64_t n, int64_t multiple) { return (n + multiple - 1) / multi
 // Row length of transposed inputs and of weight gradients.
 int64_t PaddedInputs(int n_in) { return RoundUp(n_in, kGemmColumns); }
 
-NRFF_MULTIVERSION void Scale(const float* factor, int64_t n, float* d) {
-  NRFF_ROWS_DISTINCT
-  for (int64_t s = 0; s < n; ++s) d[s] *= factor[s];
-}
-
 NRFF_MULTIVERSION void SumRow(const float* row, int64_t n, float* sum) {
   float partial[kLine] = {};  // lanes, so that the order is fixed
   for (int64_t s = 0; s < n; s += kLine) {
@@ -309,8 +304,8 @@ void ShadingTile::Forward(const ShadingNetworks& networks, int64_t n_samples) {
   }
 }
 
-void ShadingTile::BackwardLayer(const LinearLayer& layer, int input, int d_output, int d_input, int64_t n,
-                                const ShadingGradients::Layer& gradient) {
+void ShadingTile::BackwardLayer(const LinearLayer& layer, int input, const float* derivative, int d_output, int d_input,
+                                int64_t n, const ShadingGradients::Layer& gradient) {
   const int64_t padded = PaddedInputs(layer.n_in);
   TileGemmTransposed({.m = layer.n_out,
                       .n = padded,
@@ -335,7 +330,8 @@ void ShadingTile::BackwardLayer(const LinearLayer& layer, int input, int d_outpu
             .b = Row(d_output),
             .b_row = stride_,
             .c = Row(d_input),
-            .c_row = stride_});
+            .c_row = stride_,
+            .factor = derivative});
 }
 
 void ShadingTile::BackwardNetwork(const std::vector<LinearLayer>& layers, const std::vector<Hidden>& hidden, int input,
@@ -344,9 +340,11 @@ void ShadingTile::BackwardNetwork(const std::vector<LinearLayer>& layers, const 
   int d = d_output;
   for (int i = int(layers.size()) - 1; i >= 0; --i) {
     const int next = i == 0 ? d_input : scratch_[i % 2];
-    BackwardLayer(layers[i], i == 0 ? input : hidden[i - 1].after, d, next, n, gradients[i]);
-    if (i == 0) break;
-    for (int r = 0; r < layers[i].n_in; ++r) Scale(Row(hidden[i - 1].derivative + r), n, Row(next + r));
+    if (i == 0) {
+      BackwardLayer(layers[i], input, nullptr, d, next, n, gradients[i]);
+    } else {
+      BackwardLayer(layers[i], hidden[i - 1].after, Row(hidden[i - 1].derivative), d, next, n, gradients[i]);
+    }
     d = next;
   }
 }
@@ -371,7 +369,7 @@ void ShadingTile::Backward(const ShadingNetworks& networks, int64_t n_samples, c
   const LinearLayer& lobe_layer = networks.lobe_layer;
   for (int row = 0; row < networks.lobes.n_theta; ++row) {
     const int lobe_features = kBottleneck + bottleneck + row * lobe_layer.n_in;
-    BackwardLayer(lobe_layer, spatial_out_ + lobe_features, d_lobe_raw_ + row * lobe_layer.n_out,
+    BackwardLayer(lobe_layer, spatial_out_ + lobe_features, nullptr, d_lobe_raw_ + row * lobe_layer.n_out,
                   d_spatial_out_ + lobe_features, n, layers[n_spatial]);
   }
   for (int r = 0; r < bottleneck; ++r) {

@@ -58,7 +58,8 @@ struct GemmArgs {
   GemmStart start = GemmStart::kZero;
   const float* bias = nullptr;
   std::optional<Activation> activation = {};
-  float* derivative = nullptr;  // of the activation, rows as C's; or null
+  float* derivative = nullptr;    // of the activation, rows as C's; or null
+  const float* factor = nullptr;  // C is the sum times it, rows as C's; or null. Not with an activation
   GemmPrecision precision = GemmPrecision::kFloat;
 };
 void TileGemm(const GemmArgs& args);

@@ -152,15 +152,61 @@ NRFF_AMX_INLINE void PackTileOfB(const GemmArgs& args, bool transposed, int64_t 
   }
 }
 
-// Sums of a block of C into sums [32][32]. a: per 32 of k the tile of the upper 16 rows hi, lo, of the lower hi, lo.
-template <GemmPrecision kPrecision>
+// A block of C whose sums [32][32] are made, but not what becomes of them.
+struct PendingBlock {
+  GemmStart start = GemmStart::kZero;
+  bool last = false;  // no more of k is to come
+  int64_t i = 0, j = 0, n_rows = 0;
+  const float* sums = nullptr;
+
+  // Rows first to end − 1 of it.
+  NRFF_AMX_INLINE void Finish(const GemmArgs& args, int64_t first, int64_t end) const {
+    const bool right = j + kTileRows < args.n;
+    for (int64_t r = first; r < std::min(end, n_rows); ++r) {
+      FinishVector(args, r, 0);
+      if (right) FinishVector(args, r, kTileRows);
+    }
+  }
+
+ private:
+  NRFF_AMX_INLINE void FinishVector(const GemmArgs& args, int64_t r, int64_t column) const {
+    const int64_t at = (i + r) * args.c_row + j + column;
+    float* c = args.c + at;
+    __m512 sum = _mm512_load_ps(sums + r * kBlock + column);
+    if (start == GemmStart::kSum) sum += _mm512_loadu_ps(c);
+    if (start == GemmStart::kBias) sum += _mm512_set1_ps(args.bias[i + r]);
+    if (last && args.factor != nullptr) sum *= _mm512_loadu_ps(args.factor + at);
+    _mm512_storeu_ps(c, sum);
+    if (last && args.activation) {
+      ActivateInline(*args.activation, kTileRows, c, args.derivative != nullptr ? args.derivative + at : nullptr);
+    }
+  }
+};
+
+// Where the sums of a block go.
+struct BlockSums {
+  float *upper, *lower;  // lower: of rows 16 to 31
+  int64_t row_bytes;
+  bool add;  // to what is there
+};
+
+// a: per 32 of k the tile of the upper 16 rows hi, lo, of the lower hi, lo. beside(s) is called for every 32 of k: work
+// for the vector units, which have little to do while the matrix unit multiplies a block for two thousand cycles.
+template <GemmPrecision kPrecision, typename Beside>
 NRFF_AMX_INLINE void MultiplyBlock(const uint32_t* a, const uint32_t* b, int64_t n_steps, bool lower, bool right,
-                                   float* sums) {
+                                   const BlockSums& sums, const Beside& beside) {
   constexpr int64_t kRowBytes = 64;
-  _tile_zero(0);
-  _tile_zero(1);
-  _tile_zero(2);
-  _tile_zero(3);
+  if (sums.add) {
+    _tile_loadd(0, sums.upper, sums.row_bytes);
+    if (right) _tile_loadd(1, sums.upper + kTileRows, sums.row_bytes);
+    if (lower) _tile_loadd(2, sums.lower, sums.row_bytes);
+    if (lower && right) _tile_loadd(3, sums.lower + kTileRows, sums.row_bytes);
+  } else {
+    _tile_zero(0);
+    _tile_zero(1);
+    _tile_zero(2);
+    _tile_zero(3);
+  }
   for (int64_t s = 0; s < n_steps; ++s, a += 4 * kTileWords, b += 4 * kTileWords) {
     const auto all = [&]() NRFF_AMX_TARGET {
       _tile_dpbf16ps(0, 4, 6);
@@ -183,29 +229,12 @@ NRFF_AMX_INLINE void MultiplyBlock(const uint32_t* a, const uint32_t* b, int64_t
       _tile_loadd(5, a + 3 * kTileWords, kRowBytes);
       all();
     }
+    beside(s);
   }
-  _tile_stored(0, sums, kBlock * sizeof(float));
-  _tile_stored(1, sums + kTileRows, kBlock * sizeof(float));
-  _tile_stored(2, sums + kTileRows * kBlock, kBlock * sizeof(float));
-  _tile_stored(3, sums + kTileRows * kBlock + kTileRows, kBlock * sizeof(float));
-}
-
-// A block of C from its sums. last: no more of k is to come.
-NRFF_AMX_INLINE void Finish(const GemmArgs& args, GemmStart start, bool last, int64_t i, int64_t j, const float* sums) {
-  const int64_t n_rows = std::min(kBlock, args.m - i), n_columns = std::min(kBlock, args.n - j);
-  const bool activate = last && args.activation;
-  for (int64_t r = 0; r < n_rows; ++r) {
-    const int64_t at = (i + r) * args.c_row + j;
-    const __m512 bias = _mm512_set1_ps(start == GemmStart::kBias ? args.bias[i + r] : 0.F);
-    for (int64_t s = 0; s < n_columns; s += 16) {
-      float* c = args.c + at + s;
-      const __m512 before = start == GemmStart::kSum ? _mm512_loadu_ps(c) : bias;
-      _mm512_storeu_ps(c, before + _mm512_load_ps(sums + r * kBlock + s));
-    }
-    if (!activate) continue;
-    ActivateInline(*args.activation, n_columns, args.c + at,
-                   args.derivative != nullptr ? args.derivative + at : nullptr);
-  }
+  _tile_stored(0, sums.upper, sums.row_bytes);
+  if (right) _tile_stored(1, sums.upper + kTileRows, sums.row_bytes);
+  if (lower) _tile_stored(2, sums.lower, sums.row_bytes);
+  if (lower && right) _tile_stored(3, sums.lower + kTileRows, sums.row_bytes);
 }
 
 int64_t StepsOf(int64_t depth) { return RoundUp(depth, kTileDepth) / kTileDepth; }
@@ -232,29 +261,54 @@ NRFF_AMX_TARGET void Multiply(const GemmArgs& args, bool b_transposed) {
     config.rows[t] = kTileRows;
   }
   _tile_loadconfig(&config);
-  alignas(64) float sums[kBlock * kBlock];
+  alignas(64) float sums[2][kBlock * kBlock];
+  int which = 0;  // of them is written next
+  PendingBlock pending;
   const uint32_t* packed = args.packed_a != nullptr ? args.packed_a->words() : nullptr;
+  const int64_t n_blocks = RoundUp(args.m, kBlock) / kBlock;
   for (int64_t k_begin = 0; k_begin < args.k; k_begin += kDepth) {
     const int64_t k_end = std::min(args.k, k_begin + kDepth);
     const GemmStart start = k_begin == 0 ? args.start : GemmStart::kSum;
+    const bool last = k_end == args.k;
+    const bool sums_alone = start != GemmStart::kBias && !(last && (args.activation || args.factor != nullptr));
     const int64_t n_steps = StepsOf(k_end - k_begin), panel = n_steps * 4 * kTileWords;
+    const int64_t rows_per_step = (kBlock + n_steps - 1) / n_steps;
     const uint32_t* a = packed != nullptr ? packed : PackA(args, k_begin, k_end, words_of_a);
-    uint32_t* b = words_of_b.Reserve(panel);
-    for (int64_t j = 0; j < args.n; j += kBlock) {
-      for (int64_t s = 0; s < n_steps; ++s) {
-        for (int64_t half = 0; half < 2 && j + half * kTileRows < args.n; ++half) {
-          PackTileOfB<kPrecision>(args, b_transposed, j + half * kTileRows, k_begin + s * kTileDepth, k_end,
-                                  b + (4 * s + 2 * half) * kTileWords);
-        }
-      }
+    uint32_t* b = words_of_b.Reserve(2 * panel);
+    uint32_t* next_b = b + panel;
+    const auto pack_b = [&](int64_t j, int64_t s, int64_t half, uint32_t* to) NRFF_AMX_TARGET {
+      if (j + half * kTileRows >= args.n) return;
+      PackTileOfB<kPrecision>(args, b_transposed, j + half * kTileRows, k_begin + s * kTileDepth, k_end,
+                              to + (4 * s + 2 * half) * kTileWords);
+    };
+    for (int64_t s = 0; s < n_steps; ++s) {
+      for (int64_t half = 0; half < 2; ++half) pack_b(0, s, half, b);
+    }
+    pending.Finish(args, 0, kBlock);  // of the cut of k before: blocks go on from what it writes
+    pending.n_rows = 0;
+    for (int64_t j = 0; j < args.n; j += kBlock, std::swap(b, next_b)) {
       // Tiles beyond m and n are loaded, but not used.
-      for (int64_t i = 0; i < args.m; i += kBlock) {
-        MultiplyBlock<kPrecision>(a + i / kBlock * panel, b, n_steps, i + kTileRows < args.m, j + kTileRows < args.n,
-                                  sums);
-        Finish(args, start, k_end == args.k, i, j, sums);
+      for (int64_t block = 0; block < n_blocks; ++block) {
+        const int64_t i = block * kBlock, n_rows = std::min(kBlock, args.m - i);
+        const bool direct = sums_alone && n_rows % kTileRows == 0;
+        float *own = sums[which], *c = args.c + i * args.c_row + j;
+        const BlockSums to = direct ? BlockSums{c, c + kTileRows * args.c_row, args.c_row * int64_t(sizeof(float)),
+                                                start == GemmStart::kSum}
+                                    : BlockSums{own, own + kTileRows * kBlock, kBlock * sizeof(float), false};
+        MultiplyBlock<kPrecision>(a + block * panel, b, n_steps, n_rows > kTileRows, j + kTileRows < args.n, to,
+                                  [&](int64_t s) NRFF_AMX_TARGET {
+                                    pending.Finish(args, s * rows_per_step, (s + 1) * rows_per_step);
+                                    if (block == 0) pack_b(j + kBlock, s, 0, next_b);
+                                    if (block == n_blocks / 2) pack_b(j + kBlock, s, 1, next_b);
+                                  });
+        pending.n_rows = 0;
+        if (direct) continue;
+        pending = {start, last, i, j, n_rows, own};
+        which = 1 - which;
       }
     }
   }
+  pending.Finish(args, 0, kBlock);
   _tile_release();
 }
 

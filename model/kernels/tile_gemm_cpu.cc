@@ -93,6 +93,11 @@ __attribute__((target("arch=x86-64-v3"))) void GemmOfLevel3(const GemmArgs& args
 #endif
 void GemmOfAnyCpu(const GemmArgs& args) { Gemm<4, 2, 4>(args); }
 
+NRFF_MULTIVERSION void ScaleRow(const float* factor, int64_t n, float* row) {
+#pragma GCC ivdep
+  for (int64_t j = 0; j < n; ++j) row[j] *= factor[j];
+}
+
 }  // namespace
 
 uint32_t* AlignedWords::Reserve(int64_t n) {
@@ -125,8 +130,10 @@ void TileGemm(const GemmArgs& args) {
 #else
   GemmOfAnyCpu(args);
 #endif
-  if (!args.activation) return;
-  for (int64_t i = 0; i < args.m; ++i) {
+  for (int64_t i = 0; args.factor != nullptr && i < args.m; ++i) {
+    ScaleRow(args.factor + i * args.c_row, args.n, args.c + i * args.c_row);
+  }
+  for (int64_t i = 0; args.activation && i < args.m; ++i) {
     float* derivative = args.derivative != nullptr ? args.derivative + i * args.c_row : nullptr;
     ActivateRow(*args.activation, args.n, args.c + i * args.c_row, derivative);
   }
