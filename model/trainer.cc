@@ -67,6 +67,11 @@ double Trainer::Progress() const {
                                      : double(state_.step) / double(preset_.train.steps);
 }
 
+bool Trainer::Done() const {
+  if (options_.budget_seconds <= 0) return Progress() >= 1;
+  return state_.step > 0 && state_.seconds + 0.5 * step_seconds_ >= options_.budget_seconds;
+}
+
 RenderOptions Trainer::EvaluationOptions() const {
   RenderOptions options;
   options.step = MarchingStep(preset_.train, state_.step_stage, state_.map);
@@ -181,7 +186,8 @@ void Trainer::Step() {
   }
   state_.samples += result.n_samples;
   ++state_.step;
-  state_.seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  step_seconds_ = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  state_.seconds += step_seconds_;
 }
 
 std::string Trainer::NotFinite(const TrainingStep::Result& result) const {

@@ -32,7 +32,8 @@ class Trainer {
 
   // 0 to 1.
   double Progress() const;
-  bool Done() const { return Progress() >= 1; }
+  // With a budget: when another step would end farther from it than this one did. There is one step at least.
+  bool Done() const;
 
   // One step of the optimiser and what the schedule has due before it. A non-finite loss or gradient leaves the model
   // as it is and is counted; throws InputError with the evidence when that happens kMostSkipped times in a row.
@@ -64,6 +65,7 @@ class Trainer {
   DepthSource depths_;
   double background_;
   TrainState state_;
+  double step_seconds_ = 0;  // of the last step
   TrainingStep step_;  // of state_.field
 };
 
