@@ -6,7 +6,7 @@
 
 int main(int argc, char** argv) {
   CLI::App app(
-      "Scores rendered held-out views against the photos: PSNR, SSIM, error pictures.\n"
+      "Scores rendered held-out views against the photos: PSNR, SSIM, LPIPS, error pictures.\n"
       "Example: nrff-eval --scene work/fox/pose --renders work/fox/render --out work/fox/eval",
       "nrff-eval");
   std::filesystem::path scene, renders, out;
@@ -14,8 +14,15 @@ int main(int argc, char** argv) {
   app.add_option("--scene", scene, "Artifact of the pose stage")->required();
   app.add_option("--renders", renders, "Artifact of the render stage")->required();
   app.add_option("--out", out, "Where the artifact is written")->required();
+  std::string lpips = nrff::needs::kNoLpips;
+  app.add_option("--lpips", lpips, "LPIPS network (eval/export_lpips.py), or none")
+      ->type_name("FILE")
+      ->default_str("the one in ~/.local/share/nrff, or none")
+      ->group(nrff::kParameterGroup);
   app.add_option("--threads", n_threads, "Images at a time")->capture_default_str()->check(CLI::Range(1, 1024));
   nrff::AddVerbosity(app);
-  return nrff::StageMain(app, argc, argv,
-                         [&] { nrff::Evaluate(scene, renders, out, nrff::GivenParams(app), n_threads); });
+  return nrff::StageMain(app, argc, argv, [&] {
+    if (app.count("--lpips") == 0 && !nrff::DefaultLpipsNetwork().empty()) lpips = nrff::DefaultLpipsNetwork().string();
+    nrff::Evaluate(scene, renders, out, nrff::GivenParams(app), nrff::ChooseLpips(lpips), n_threads);
+  });
 }

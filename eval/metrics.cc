@@ -34,15 +34,6 @@ void CheckImage(const RgbImage& image, const char* what) {
   }
 }
 
-void CheckPair(const RgbImage& truth, const RgbImage& rendered) {
-  CheckImage(truth, "true");
-  CheckImage(rendered, "rendered");
-  if (truth.width != rendered.width || truth.height != rendered.height) {
-    throw InputError("The true image is " + SizeText(truth) + " but the rendered one " + SizeText(rendered) +
-                     "; both must have the same size.");
-  }
-}
-
 std::array<double, kSsimWindow> GaussianWeights() {
   constexpr int kRadius = kSsimWindow / 2;
   std::array<double, kSsimWindow> weights{};
@@ -85,6 +76,15 @@ std::vector<double> Product(const std::vector<double>& a, const std::vector<doub
 }
 
 }  // namespace
+
+void CheckPair(const RgbImage& truth, const RgbImage& rendered) {
+  CheckImage(truth, "true");
+  CheckImage(rendered, "rendered");
+  if (truth.width != rendered.width || truth.height != rendered.height) {
+    throw InputError("The true image is " + SizeText(truth) + " but the rendered one " + SizeText(rendered) +
+                     "; both must have the same size.");
+  }
+}
 
 double Psnr(const RgbImage& truth, const RgbImage& rendered) {
   CheckPair(truth, rendered);

@@ -14,6 +14,9 @@ struct RgbImage {
   std::vector<double> rgb;    // [height, width, 3] row-major
 };
 
+// Throws as said above.
+void CheckPair(const RgbImage& truth, const RgbImage& rendered);
+
 // −10 log10(mean squared error over pixels and channels), dB. Identical images have no error: +infinity.
 double Psnr(const RgbImage& truth, const RgbImage& rendered);
 

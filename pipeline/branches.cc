@@ -87,6 +87,9 @@ Params GivenOptions(const BranchOptions& options) {
   add("seed", options.seed);
   add("device", options.device);
   add("max-image-size", options.max_image_size);
+  add("lpips", options.lpips.empty() || options.lpips == needs::kNoLpips
+                   ? options.lpips
+                   : fs::absolute(options.lpips).lexically_normal().string());
   if (!options.budget.empty()) {
     const double seconds = ParseDuration(options.budget, "--budget");
     add("budget", std::to_string(std::llround(seconds)) + "s");
@@ -147,6 +150,8 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options) {
   };
   add_forced("--need", options.need, "Use what `nrff plan` would leave out");
   add_forced("--leave-out", options.leave_out, "Leave out what `nrff plan` would use");
+  add("--lpips", options.lpips, "FILE", "Score with this LPIPS network too; none: without")
+      ->check([](const std::string& text) { return text == needs::kNoLpips ? std::string() : CLI::ExistingFile(text); });
   add("--device", options.device, "NAME", "auto, cpu or cuda")->check(CheckDevice);
   add("--threads", options.threads, "N", "Threads of one stage (default: all cores)")->check(CheckThreads);
   add("--seed", options.seed, "N", "Of everything random")->check(CheckWhole);

@@ -16,7 +16,7 @@ namespace nrff {
 // The options of `nrff run` and `nrff plan` that say what is to be made.
 struct BranchOptions {
   std::vector<std::string> targets;  // captures or workspaces
-  std::string workspace, budget, preset, set, steps, max_image_size, device, threads, seed, from, until;
+  std::string workspace, budget, preset, set, steps, max_image_size, lpips, device, threads, seed, from, until;
   std::vector<std::string> need, leave_out;  // features whose decision is forced
   bool force = false;
 };

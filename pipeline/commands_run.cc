@@ -89,9 +89,10 @@ void PrintScores(const Json& metrics) {
       const Json& score = scores.at(metric);
       return score.is_null() ? std::string("—") : fmt::format(fmt::runtime(format), score.get<double>());
     };
-    std::cout << fmt::format("{:<{}}  {:>6}  {:>6}\n", name, width, figure("psnr", "{:.2f}"), figure("ssim", "{:.4f}"));
+    std::cout << fmt::format("{:<{}}  {:>6}  {:>6}  {:>6}\n", name, width, figure("psnr", "{:.2f}"),
+                             figure("ssim", "{:.4f}"), figure("lpips", "{:.4f}"));
   };
-  std::cout << fmt::format("{:<{}}  {:>6}  {:>6}\n", "view", width, "PSNR", "SSIM");
+  std::cout << fmt::format("{:<{}}  {:>6}  {:>6}  {:>6}\n", "view", width, "PSNR", "SSIM", "LPIPS");
   for (const Json& image : metrics.at("images")) row(image.at("name").get<std::string>(), image);
   row("mean", metrics.at("metrics"));
 }

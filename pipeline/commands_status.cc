@@ -1,4 +1,4 @@
-// nrff status: what is done, stale and why, failed.
+// nrff status: what is done, missing, stale and why, failed.
 #include <fmt/format.h>
 
 #include <iostream>
@@ -13,7 +13,7 @@ namespace {
 
 struct StageStatus {
   std::string stage;
-  std::string state;   // "done", "stale", "undecided", "failed"
+  std::string state;   // "done", "missing", "stale", "undecided", "failed"
   std::string reason;  // why it is not done
   int exit_code = 0;   // failed
   double seconds = 0;  // done
@@ -37,7 +37,9 @@ std::vector<StageStatus> StatusOf(const BranchRequest& request) {
       status.seconds = manifest->seconds;
       status.peak_memory_bytes = manifest->peak_memory_bytes;
     }
-    if (verdicts[i].state == Verdict::kStale) status.state = "stale";
+    std::error_code absent;
+    const bool made = std::filesystem::exists(request.workspace.Artifact(node.stage), absent);
+    if (verdicts[i].state == Verdict::kStale) status.state = made ? "stale" : "missing";
     if (verdicts[i].state == Verdict::kUndecided) status.state = "undecided";
     const std::optional<StageRecord> record = request.workspace.LastRecord(node.stage);
     if (verdicts[i].state != Verdict::kFresh && record && record->exit_code != 0) {

@@ -121,9 +121,11 @@ Decision SmallModel(double steps_per_second, double budget_seconds, bool unbound
 }
 
 Decision Lpips(const std::string& network_path) {
-  const bool given = !network_path.empty();
+  const bool given = network_path != kNoLpips;
   return {"lpips", given, given ? "network " + network_path : "no network file", "a network file",
-          given ? "the network is there" : "LPIPS is defined by the weights of its network"};
+          given ? "the network is there"
+                : "LPIPS is defined by the weights of its network; make its file with eval/export_lpips.py where they "
+                  "can be fetched, and give it with --lpips"};
 }
 
 Decision Cuda(bool has_cuda_path, int n_gpus) {

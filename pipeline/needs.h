@@ -65,7 +65,8 @@ Decision SparseDepth(size_t n_depths, bool unbounded);
 // and a third more levels shows less yet after 2 min (lego, 35.9 against 36.1 dB).
 Decision SmallModel(double steps_per_second, double budget_seconds, bool unbounded);
 
-// LPIPS is left out when no network file is given.
+// LPIPS is left out when this word is given instead of a network file.
+inline constexpr char kNoLpips[] = "none";
 Decision Lpips(const std::string& network_path);
 
 // CUDA is left out when there is no usable GPU, or this version cannot train and render on one.

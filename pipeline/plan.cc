@@ -34,7 +34,7 @@ void AddKnownDecisions(Graph& graph, BranchPlan& plan) {
   for (const Decision& decision : plan.training.value("decisions", std::vector<Decision>())) {
     plan.decisions.push_back(decision);
   }
-  plan.decisions.push_back(needs::Lpips(""));
+  plan.decisions.push_back(needs::Lpips(LpipsNetworkOf(plan.request)));
   for (size_t i = 0; i < plan.nodes.size(); ++i) {
     if (plan.verdicts[i].state != Verdict::kFresh) continue;
     for (const Decision& decision : graph.Artifact(plan.nodes[i]).manifest->decisions) {

@@ -99,7 +99,9 @@ void PrintResult(const BranchResult& result, std::ostream& out) {
   }
   const Json psnr = Fact(result, "eval", "psnr"), ssim = Fact(result, "eval", "ssim");
   if (psnr.is_number() && ssim.is_number()) {
-    out << fmt::format("  held out    PSNR {:.2f} dB, SSIM {:.4f}\n", psnr.get<double>(), ssim.get<double>());
+    out << fmt::format("  held out    PSNR {:.2f} dB, SSIM {:.4f}", psnr.get<double>(), ssim.get<double>());
+    const Json lpips = Fact(result, "eval", "lpips");
+    out << (lpips.is_number() ? fmt::format(", LPIPS {:.4f}\n", lpips.get<double>()) : "\n");
   }
   std::string seconds;
   for (const BranchResult::Stage& stage : result.stages) {

@@ -64,6 +64,21 @@ Params GivenParams(const CLI::App& app) {
   return params;
 }
 
+std::filesystem::path DefaultLpipsNetwork() {
+  const char *data = std::getenv("XDG_DATA_HOME"), *home = std::getenv("HOME");
+  std::filesystem::path folder;
+  if (data != nullptr && *data != '\0') {
+    folder = data;
+  } else if (home != nullptr && *home != '\0') {
+    folder = std::filesystem::path(home) / ".local" / "share";
+  } else {
+    return {};
+  }
+  const std::filesystem::path file = folder / "nrff" / "lpips_vgg.onnx";
+  std::error_code absent;
+  return std::filesystem::is_regular_file(file, absent) ? file : std::filesystem::path();
+}
+
 void AddVerbosity(CLI::App& app) {
   auto* quiet = app.add_flag_callback(
       "-q,--quiet", [] { SetVerbosity(Verbosity::kQuiet); }, "Warnings and errors only");

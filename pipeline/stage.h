@@ -2,6 +2,7 @@
 #pragma once
 
 #include <CLI/CLI.hpp>
+#include <filesystem>
 #include <functional>
 #include <optional>
 #include <string>
@@ -30,6 +31,10 @@ void AddForcedOption(CLI::App& app, const std::string& name, std::optional<bool>
 
 // "90s", "10m", "1h", "1h30m", "600" (seconds) in seconds. Throws UsageError naming `option`.
 double ParseDuration(const std::string& text, const std::string& option);
+
+// Where the LPIPS network is looked for when none is given: nrff/lpips_vgg.onnx in $XDG_DATA_HOME or ~/.local/share.
+// Empty when there is none.
+std::filesystem::path DefaultLpipsNetwork();
 
 // Parses, runs `body`, maps Error and std::exception to exit codes and one "error: …" line on stderr. Throws nothing.
 // bad_alloc and ENOSPC end with kResource.

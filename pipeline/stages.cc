@@ -4,6 +4,7 @@
 #include <string_view>
 
 #include "pipeline/log.h"
+#include "pipeline/stage.h"
 
 namespace nrff {
 namespace {
@@ -55,7 +56,7 @@ const std::vector<Stage>& Table() {
        {"device"},
        true,
        1024 * kMebibyte},
-      {"eval", "nrff-eval", "", {{"--scene", "pose"}, {"--renders", "render"}}, {}, {}, false, 512 * kMebibyte},
+      {"eval", "nrff-eval", "", {{"--scene", "pose"}, {"--renders", "render"}}, {"lpips"}, {}, false, 1024 * kMebibyte},
       {"report", "nrff", "report", {}, {}, {}, false, 256 * kMebibyte},
   };
   return table;
@@ -82,6 +83,17 @@ Params Given(const std::vector<std::string>& names, const BranchRequest& request
   }
   return given;
 }
+
+}  // namespace
+
+std::string LpipsNetworkOf(const BranchRequest& request) {
+  const auto given = request.options.find("lpips");
+  if (given != request.options.end()) return given->second;
+  const fs::path found = DefaultLpipsNetwork();
+  return found.empty() ? needs::kNoLpips : found.string();
+}
+
+namespace {
 
 void AddOptions(const Params& given, std::vector<std::string>& command) {
   for (const auto& [name, value] : given) command.insert(command.end(), {"--" + name, value});
@@ -117,6 +129,11 @@ Node MakeNode(const Stage& stage, const BranchRequest& request, const Machine& m
     node.command.insert(node.command.end(), {"--out", node.artifact.string()});
   }
   node.params = Given(stage.params, request);
+  if (stage.name == "eval") {
+    // Given where it is found too: scores that were made without it are stale then.
+    const std::string network = LpipsNetworkOf(request);
+    if (network != needs::kNoLpips) node.params.emplace("lpips", network);
+  }
   for (const Params& given : {node.params, Given(stage.others, request)}) AddOptions(given, node.command);
   if (stage.takes_threads && !request.threads.empty()) {
     node.command.insert(node.command.end(), {"--threads", request.threads});

@@ -29,7 +29,7 @@ void RayQuadrature::Integrate(const RayBlock& block, const float* directions, do
   }
   rgb.assign(3 * block.n_rays, 0.F);
   normals.assign(3 * block.n_rays, 0.F);
-  for (const Span& span : spans_) {
+  for (const RaySpan& span : spans_) {
     for (int c = 0; c < 3; ++c) {
       rgb[3 * span.ray + c] += span.weight * span.rgb[c];
       normals[3 * span.ray + c] += span.weight * span.normal[c];
@@ -89,7 +89,7 @@ void RayQuadrature::Start(float step, float tolerance) {
 }
 
 void RayQuadrature::AddSpan(int64_t ray, int64_t begin, int64_t end) {
-  Span span{.ray = ray,
+  RaySpan span{.ray = ray,
             .samples = {begin, end},
             .weight = 0,
             .t = 0,
@@ -124,7 +124,7 @@ void RayQuadrature::ShadeNew(const float* directions, RadianceField::Shader& sha
   new_normals_.resize(3 * n);
   shader.Shade(new_samples_.data(), new_directions_.data(), n, new_rgb_.data(), new_normals_.data());
   for (int64_t k = 0; k < n; ++k) {
-    Span& span = spans_[new_[k]];
+    RaySpan& span = spans_[new_[k]];
     std::copy_n(&new_rgb_[3 * k], 3, span.rgb);
     std::copy_n(&new_normals_[3 * k], 3, span.normal);
     span.shaded = true;
@@ -138,10 +138,10 @@ bool RayQuadrature::Split(float tolerance) {
     split_.back().shaded =
         spans_[s].samples.end - spans_[s].samples.begin == 1 || ErrorEstimate(s) <= kCaution * tolerance;
   }
-  const auto whole = [](const Span& span) { return span.shaded; };
+  const auto whole = [](const RaySpan& span) { return span.shaded; };
   if (std::all_of(split_.begin(), split_.end(), whole)) return false;
   spans_.clear();
-  for (const Span& span : split_) {
+  for (const RaySpan& span : split_) {
     if (whole(span)) {
       spans_.push_back(span);
       continue;
@@ -160,9 +160,9 @@ bool RayQuadrature::Split(float tolerance) {
 
 // ½ c'' w Var(t), with the largest c'' that the difference to a neighbour's colour leaves room for.
 float RayQuadrature::ErrorEstimate(size_t s) const {
-  const Span& span = spans_[s];
+  const RaySpan& span = spans_[s];
   float curvature = 0;
-  const auto compare = [&](const Span& other) {
+  const auto compare = [&](const RaySpan& other) {
     if (other.ray != span.ray) return;
     float difference = 0;
     for (int c = 0; c < 3; ++c) difference = std::max(difference, std::abs(span.rgb[c] - other.rgb[c]));

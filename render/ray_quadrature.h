@@ -27,7 +27,7 @@ class RayQuadrature {
   int64_t n_shaded = 0;             // spans shaded
 
  private:
-  struct Span {
+  struct RaySpan {
     int64_t ray;
     RadianceField::Shader::Span samples;  // or pairs
     float weight, t, variance;            // sum; mean and variance along the ray
@@ -46,7 +46,7 @@ class RayQuadrature {
 
   std::vector<int64_t> offsets_;             // [n_rays + 1]: where a ray's samples begin
   std::vector<float> points_, weights_, t_;  // of the samples, or pairs
-  std::vector<Span> spans_, split_;          // by ray, front to back
+  std::vector<RaySpan> spans_, split_;       // by ray, front to back
   std::vector<size_t> new_;                  // of spans_
   std::vector<RadianceField::Shader::Span> new_samples_;
   std::vector<float> new_directions_, new_rgb_, new_normals_;

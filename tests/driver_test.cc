@@ -289,7 +289,7 @@ TEST_F(DriverTest, FailureSaysWhatAndWhereAndIsRemembered) {
   EXPECT_EQ(stages.at(3).at("state"), "failed");
   EXPECT_EQ(stages.at(3).at("exit_code"), 3);
   EXPECT_THAT(stages.at(3).at("reason").get<std::string>(), HasSubstr("was told to fail"));
-  EXPECT_EQ(stages.at(4).at("state"), "stale");
+  EXPECT_EQ(stages.at(4).at("state"), "missing");
 
   Ran();
   EXPECT_EQ(RunFox().exit_code, 0);

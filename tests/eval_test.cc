@@ -8,6 +8,7 @@
 
 #include "eval/error_map.h"
 #include "eval/evaluate.h"
+#include "eval/lpips.h"
 #include "eval/metrics.h"
 #include "eval/png.h"
 #include "pipeline/error.h"
@@ -159,6 +160,78 @@ TEST(ErrorMap, IsRedderThanBlueInTheMiddle) {  // channel order
 }
 
 // A pose and a render artifact with `n_test` held-out views beside one training view.
+const fs::path kNarrow = fs::path(NRFF_SOURCE_DIR) / "tests/data/lpips_narrow.onnx";
+
+// As image() of make_lpips_fixture.py.
+RgbImage Pattern(int width, int height, int which) {
+  RgbImage image = Constant(width, height, 0);
+  for (int y = 0; y < height; ++y) {
+    for (int x = 0; x < width; ++x) {
+      for (int c = 0; c < 3; ++c) {
+        const int pixel = (7 * x + 13 * y + 29 * c + which * (x * y / 8 + 11 * c)) % 256;
+        image.rgb[3 * (size_t(y) * width + x) + c] = pixel / 255.0;
+      }
+    }
+  }
+  return image;
+}
+
+TEST(Lpips, IsWhatThePackageComputesWithTheSameNetwork) {
+  LpipsNetwork network(kNarrow);
+  for (const Json& pair : ReadJson(fs::path(NRFF_SOURCE_DIR) / "tests/data/lpips_narrow.json")) {
+    const int width = pair["width"], height = pair["height"];
+    const double expected = pair["distance"];
+    const auto distance = network.Distance(Pattern(width, height, 0), Pattern(width, height, 1));
+    ASSERT_TRUE(distance);
+    // Float, over 13 layers.
+    EXPECT_NEAR(*distance, expected, 1e-5 * expected) << width << "x" << height;
+  }
+}
+
+TEST(Lpips, IsZeroForEqualImagesAndNothingForTooSmallOnes) {
+  LpipsNetwork network(kNarrow);
+  EXPECT_NEAR(network.Distance(Noise(40, 32, 1), Noise(40, 32, 1)).value(), 0, 1e-12);
+  EXPECT_FALSE(network.Distance(Noise(40, kLpipsSmallest - 1, 1), Noise(40, kLpipsSmallest - 1, 2)));
+  EXPECT_THROW(network.Distance(Noise(40, 32, 1), Noise(32, 40, 1)), Error);
+}
+
+TEST(Lpips, ANetworkThatIsNotLpipsOrIsDamagedIsRefusedByName) {
+  try {
+    ChooseLpips(kNarrow.string());
+    FAIL() << "a random backbone was accepted";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ExitCode::kInput);
+    EXPECT_NE(std::string(error.what()).find("has a random backbone"), std::string::npos) << error.what();
+  }
+  EXPECT_THROW(ChooseLpips("/nowhere/lpips.onnx"), Error);
+  const std::string bytes = ReadFile(kNarrow);
+  const fs::path file = fs::temp_directory_path() / ("nrff_lpips_" + std::to_string(getpid()) + ".onnx");
+  const auto refusal = [&](const std::string& contents) -> std::string {
+    WriteFileAtomically(file, contents);
+    try {
+      const LpipsNetwork network(file);
+      return "accepted";
+    } catch (const Error& error) {
+      EXPECT_EQ(error.code(), ExitCode::kInput);
+      EXPECT_NE(std::string(error.what()).find(file.filename()), std::string::npos) << error.what();
+      return error.what();
+    }
+  };
+  const auto replaced = [&](const std::string& from, const std::string& to) {
+    std::string changed = bytes;
+    return changed.replace(changed.find(from), from.size(), to);
+  };
+  for (size_t i = 0; i < 64; ++i) EXPECT_NE(refusal(bytes.substr(0, i * bytes.size() / 64)), "accepted") << i;
+  EXPECT_NE(refusal(""), "accepted");
+  EXPECT_NE(refusal("not ONNX at all"), "accepted");
+  std::string flipped = bytes;
+  flipped[bytes.size() / 2] ^= 1;  // in a layer's weights
+  EXPECT_NE(refusal(flipped).find("damaged"), std::string::npos);
+  EXPECT_NE(refusal(replaced("MaxPool", "Softmax")).find("operator Softmax"), std::string::npos);
+  EXPECT_NE(refusal(replaced("nrff_lpips", "xrff_lpips")).find("nrff_lpips"), std::string::npos);
+  fs::remove(file);
+}
+
 class EvaluateTest : public testing::Test {
  protected:
   void SetUp() override {
@@ -222,8 +295,8 @@ class EvaluateTest : public testing::Test {
     artifact.Commit();
   }
 
-  Json Run() {
-    Evaluate(dir_ / "pose", dir_ / "render", dir_ / "eval", {}, 2);
+  Json Run(const LpipsChoice& lpips = ChooseLpips(needs::kNoLpips)) {
+    Evaluate(dir_ / "pose", dir_ / "render", dir_ / "eval", {}, lpips, 2);
     return ReadJson(dir_ / "eval" / "metrics.json");
   }
 
@@ -334,6 +407,27 @@ TEST_F(EvaluateTest, MissingResizedOrDamagedRenderIsAnInputErrorAndKeepsTheLastR
   EXPECT_THROW(ReadRgbPng(cut), Error);
   EXPECT_THROW(Run(), Error);
   EXPECT_EQ(ReadJson(dir_ / "eval" / "metrics.json"), before);
+}
+
+TEST_F(EvaluateTest, LpipsIsMeasuredWhereANetworkIsGivenAndSaysWith) {
+  const LpipsChoice narrow{std::make_unique<LpipsNetwork>(kNarrow), needs::Lpips(kNarrow.string())};
+  MakeScene(2, 40, 32);
+  MakeRenders(2, [](int v, size_t i) { return uint8_t(Pixel(v, i) + 20 * (v - 1)); });
+  const Json result = Run(narrow);
+  EXPECT_NEAR(result["images"][0]["lpips"], 0, 1e-12);
+  EXPECT_GT(result["images"][1]["lpips"], 1e-3);
+  EXPECT_NEAR(result["metrics"]["lpips"], result["images"][1]["lpips"].get<double>() / 2, 1e-9);
+  EXPECT_FALSE(result["metrics"].contains("lpips_reason"));
+  EXPECT_EQ(result["protocol"]["lpips"]["network"], "narrow");
+  EXPECT_EQ(result["protocol"]["lpips"]["hash"], narrow.network->hash());
+
+  MakeScene(2, 40, 31);
+  MakeRenders(2, [](int v, size_t i) { return uint8_t(Pixel(v, i) + v); });
+  const Json small = Run(narrow);
+  EXPECT_TRUE(small["images"][0]["lpips"].is_null());
+  EXPECT_EQ(small["images"][0]["lpips_reason"], "the image is smaller than 32 px");
+  EXPECT_TRUE(small["metrics"]["lpips"].is_null());
+  EXPECT_EQ(small["metrics"]["lpips_reason"], "every image is smaller than the network can take");
 }
 
 TEST_F(EvaluateTest, SameInputGivesTheSameBytes) {

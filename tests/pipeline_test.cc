@@ -150,7 +150,7 @@ TEST_F(PosedPipeline, UntilStopsAndStatusAndPlanSayWhatIsLeft) {
   EXPECT_FALSE(fs::exists(workspace_ / "train"));
   auto states = States(NrffJson({"status", workspace_}).at("workspaces")[0]);
   EXPECT_EQ(states.at("pose"), "done");
-  EXPECT_EQ(states.at("train"), "stale");
+  EXPECT_EQ(states.at("train"), "missing");
 
   Nrff(Run());
   states = States(NrffJson({"status", workspace_}).at("workspaces")[0]);

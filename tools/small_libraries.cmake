@@ -13,7 +13,7 @@ target_link_libraries(png_static INTERFACE ${PNG_STATIC_LIBRARY} ${ZLIB_STATIC_L
 # OpenCV's modules one by one: Debian's OpenCVConfig.cmake comes only with the package of all modules, which brings
 # VTK, Java and several hundred megabytes along.
 find_path(OPENCV_INCLUDE_DIR opencv2/core.hpp PATH_SUFFIXES opencv4 REQUIRED)
-foreach(module core imgproc calib3d)
+foreach(module core imgproc calib3d dnn)
   find_library(OPENCV_${module}_LIBRARY opencv_${module} REQUIRED)
   add_library(opencv_${module} INTERFACE IMPORTED)
   target_include_directories(opencv_${module} SYSTEM INTERFACE ${OPENCV_INCLUDE_DIR})
