@@ -151,7 +151,8 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options) {
   add_forced("--need", options.need, "Use what `nrff plan` would leave out");
   add_forced("--leave-out", options.leave_out, "Leave out what `nrff plan` would use");
   add("--lpips", options.lpips, "FILE", "Score with this LPIPS network too; none: without")
-      ->check([](const std::string& text) { return text == needs::kNoLpips ? std::string() : CLI::ExistingFile(text); });
+      ->check(
+          [](const std::string& text) { return text == needs::kNoLpips ? std::string() : CLI::ExistingFile(text); });
   add("--device", options.device, "NAME", "auto, cpu or cuda")->check(CheckDevice);
   add("--threads", options.threads, "N", "Threads of one stage (default: all cores)")->check(CheckThreads);
   add("--seed", options.seed, "N", "Of everything random")->check(CheckWhole);

@@ -45,8 +45,8 @@ Decision ExhaustiveMatching(int n_images, bool ordered);
 
 // The finest grid resolution that training settles. Few views leave finer cells to be learnt by heart, view by view,
 // unless sparse depths hold the surfaces in place (tests/bench/results/features.md): without depths, fine levels cost
-// sceaux_castle 0.1 dB and ET 0.9, gain kermit 0.2; with depths they gain all three, 0.1 to 0.9. The bounds of 16 and 32
-// views are not measured.
+// sceaux_castle 0.1 dB and ET 0.9, gain kermit 0.2; with depths they gain all three, 0.1 to 0.9. The bounds of 16 and
+// 32 views are not measured.
 int FinestResolution(int n_train_views, bool sparse_depth);
 
 // Grid levels finer than FinestResolution are left out where the preset's `finest` is beyond it.
@@ -60,9 +60,9 @@ Decision SparseDepth(size_t n_depths, bool unbounded);
 // The model `small` is left out for `tiny` where so few of its steps fit in the training budget that the smaller model
 // shows more. On training views held out, two cores with AMX (tests/bench/results/presets.md): lego at 200 px 22.4
 // against 26.8 dB after 257 steps of `small`, 27.9 against 27.0 after 657; fox at 384 px (unbounded) 25.3 against 25.7
-// after 659, 26.9 against 26.4 after 1365. Without AMX `tiny` gets more steps for each of `small`: on an AMD EPYC lego 27.6
-// against 28.6 after 650, fox 26.4 against 27.2 after 2240, 28.7 against 28.1 after 4900. A model with twice the width
-// and a third more levels shows less yet after 2 min (lego, 35.9 against 36.1 dB).
+// after 659, 26.9 against 26.4 after 1365. Without AMX `tiny` gets more steps for each of `small`: on an AMD EPYC
+// lego 27.6 against 28.6 after 650, fox 26.4 against 27.2 after 2240, 28.7 against 28.1 after 4900. A model with twice
+// the width and a third more levels shows less yet after 2 min (lego, 35.9 against 36.1 dB).
 Decision SmallModel(double steps_per_second, double budget_seconds, bool unbounded);
 
 // LPIPS is left out when this word is given instead of a network file.
