@@ -17,12 +17,14 @@ int main(int argc, char** argv) {
   std::string lpips = nrff::needs::kNoLpips;
   app.add_option("--lpips", lpips, "LPIPS network (eval/export_lpips.py), or none")
       ->type_name("FILE")
-      ->default_str("the one in ~/.local/share/nrff, or none")
-      ->group(nrff::kParameterGroup);
+      ->default_str("~/.local/share/nrff/lpips_vgg.onnx where it is there");
   app.add_option("--threads", n_threads, "Images at a time")->capture_default_str()->check(CLI::Range(1, 1024));
   nrff::AddVerbosity(app);
   return nrff::StageMain(app, argc, argv, [&] {
-    if (app.count("--lpips") == 0 && !nrff::DefaultLpipsNetwork().empty()) lpips = nrff::DefaultLpipsNetwork().string();
-    nrff::Evaluate(scene, renders, out, nrff::GivenParams(app), nrff::ChooseLpips(lpips), n_threads);
+    const std::filesystem::path found = nrff::DefaultLpipsNetwork();
+    if (app.count("--lpips") == 0 && !found.empty()) lpips = found.string();
+    nrff::Params params = nrff::GivenParams(app);
+    params["lpips"] = nrff::LpipsParameter(lpips);
+    nrff::Evaluate(scene, renders, out, params, nrff::ChooseLpips(lpips), n_threads);
   });
 }

@@ -27,6 +27,11 @@ const std::map<std::string, std::vector<size_t>>& Backbones() {
   return kBackbones;
 }
 
+Error CannotBeUsed(const std::filesystem::path& file, const std::string& why) {
+  return InputError("LPIPS network " + EscapePath(file) + " cannot be used: " + why +
+                    "; make it with eval/export_lpips.py");
+}
+
 std::string FeatureName(int layer) { return "feature" + std::to_string(layer); }
 
 std::string MetadataOf(const OnnxModel& model, const char* key) {
@@ -130,9 +135,10 @@ LpipsNetwork::LpipsNetwork(const std::filesystem::path& file) : file_(file), run
     }
     runner_->net = cv::dnn::readNetFromONNX(contents.data(), contents.size());
     runner_->net.setPreferableBackend(cv::dnn::DNN_BACKEND_OPENCV);
-  } catch (const std::exception& error) {  // OpenCV's too
-    throw InputError("LPIPS network " + EscapePath(file) + " cannot be used: " + error.what() +
-                     "; make it with eval/export_lpips.py");
+  } catch (const cv::Exception& error) {
+    throw CannotBeUsed(file, "OpenCV cannot read it (" + error.err + ")");
+  } catch (const std::runtime_error& error) {
+    throw CannotBeUsed(file, error.what());
   }
 }
 
@@ -152,15 +158,14 @@ std::optional<double> LpipsNetwork::Distance(const RgbImage& truth, const RgbIma
     a = runner_->Features(truth);
     b = runner_->Features(rendered);
   } catch (const cv::Exception& error) {
-    throw InputError("LPIPS network " + EscapePath(file_) + " cannot be run on " + std::to_string(truth.width) + "×" +
-                     std::to_string(truth.height) + " px: " + error.what());
+    throw CannotBeUsed(file_, "OpenCV cannot run it on " + std::to_string(truth.width) + "×" +
+                                  std::to_string(truth.height) + " px (" + error.err + ")");
   }
   double distance = 0;
   for (int layer = 0; layer < kLayers; ++layer) {
     const std::vector<float>& weights = runner_->weights[layer];
     if (a[layer].dims != 4 || size_t(a[layer].size[1]) != weights.size()) {
-      throw InputError("LPIPS network " + EscapePath(file_) + " has a " + FeatureName(layer) +
-                       " of another number of channels than its weights");
+      throw CannotBeUsed(file_, "its " + FeatureName(layer) + " has another number of channels than its weights");
     }
     const size_t n_pixels = size_t(a[layer].size[2]) * a[layer].size[3];
     const auto *of_truth = a[layer].ptr<float>(), *of_rendered = b[layer].ptr<float>();

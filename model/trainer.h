@@ -66,7 +66,7 @@ class Trainer {
   double background_;
   TrainState state_;
   double step_seconds_ = 0;  // of the last step
-  TrainingStep step_;  // of state_.field
+  TrainingStep step_;        // of state_.field
 };
 
 }  // namespace nrff

@@ -137,7 +137,7 @@ Command AddStatusCommand(CLI::App& app) {
     OutputOptions output;
   };
   auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand("status", "What is done, stale (and why), failed");
+  CLI::App* command = app.add_subcommand("status", "What is done, missing, stale (and why), failed");
   command->add_option("WORKSPACE", options->workspaces, "Made by `nrff run`, or a folder of such")
       ->required()
       ->type_name("");

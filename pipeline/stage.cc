@@ -7,7 +7,9 @@
 #include <system_error>
 
 #include "pipeline/error.h"
+#include "pipeline/files.h"
 #include "pipeline/log.h"
+#include "pipeline/needs.h"
 
 namespace nrff {
 namespace {
@@ -77,6 +79,15 @@ std::filesystem::path DefaultLpipsNetwork() {
   const std::filesystem::path file = folder / "nrff" / "lpips_vgg.onnx";
   std::error_code absent;
   return std::filesystem::is_regular_file(file, absent) ? file : std::filesystem::path();
+}
+
+std::string LpipsParameter(const std::string& network) {
+  if (network == needs::kNoLpips) return network;
+  try {
+    return network + " (" + HashFile(network) + ")";
+  } catch (const Error&) {
+    return network;
+  }
 }
 
 void AddVerbosity(CLI::App& app) {

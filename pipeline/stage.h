@@ -36,6 +36,10 @@ double ParseDuration(const std::string& text, const std::string& option);
 // Empty when there is none.
 std::filesystem::path DefaultLpipsNetwork();
 
+// What stands for --lpips NETWORK in the manifest's params: name and content hash, so that scores made with another
+// file of this name are stale. A file that cannot be read is its name alone: the stage will say what is wrong with it.
+std::string LpipsParameter(const std::string& network);
+
 // Parses, runs `body`, maps Error and std::exception to exit codes and one "error: …" line on stderr. Throws nothing.
 // bad_alloc and ENOSPC end with kResource.
 int StageMain(CLI::App& app, int argc, char** argv, const std::function<void()>& body);

@@ -56,7 +56,7 @@ const std::vector<Stage>& Table() {
        {"device"},
        true,
        1024 * kMebibyte},
-      {"eval", "nrff-eval", "", {{"--scene", "pose"}, {"--renders", "render"}}, {"lpips"}, {}, false, 1024 * kMebibyte},
+      {"eval", "nrff-eval", "", {{"--scene", "pose"}, {"--renders", "render"}}, {}, {"lpips"}, false, 1024 * kMebibyte},
       {"report", "nrff", "report", {}, {}, {}, false, 256 * kMebibyte},
   };
   return table;
@@ -129,12 +129,14 @@ Node MakeNode(const Stage& stage, const BranchRequest& request, const Machine& m
     node.command.insert(node.command.end(), {"--out", node.artifact.string()});
   }
   node.params = Given(stage.params, request);
+  Params others = Given(stage.others, request);
+  AddOptions(node.params, node.command);
   if (stage.name == "eval") {
-    // Given where it is found too: scores that were made without it are stale then.
-    const std::string network = LpipsNetworkOf(request);
-    if (network != needs::kNoLpips) node.params.emplace("lpips", network);
+    // Always, so that the stage does not look for a network by itself.
+    others["lpips"] = LpipsNetworkOf(request);
+    node.params["lpips"] = LpipsParameter(others["lpips"]);
   }
-  for (const Params& given : {node.params, Given(stage.others, request)}) AddOptions(given, node.command);
+  AddOptions(others, node.command);
   if (stage.takes_threads && !request.threads.empty()) {
     node.command.insert(node.command.end(), {"--threads", request.threads});
     node.cores = std::min(machine.cores, std::stoi(request.threads));

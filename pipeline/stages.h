@@ -36,7 +36,7 @@ Node FirstNode(const BranchRequest& request, const Machine& machine);
 std::vector<Node> BranchToRunAgain(const BranchRequest& request, const Machine& machine, bool posed,
                                    const std::vector<std::string>& stages);
 
-// What the eval stage is told to measure LPIPS with: what was given, or what lies where it is looked for, or kNoLpips.
+// What the eval stage is told to measure LPIPS with: what was given, or DefaultLpipsNetwork(), or needs::kNoLpips.
 std::string LpipsNetworkOf(const BranchRequest& request);
 
 // All options of stages that can be in BranchRequest::options.

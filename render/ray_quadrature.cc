@@ -90,13 +90,13 @@ void RayQuadrature::Start(float step, float tolerance) {
 
 void RayQuadrature::AddSpan(int64_t ray, int64_t begin, int64_t end) {
   RaySpan span{.ray = ray,
-            .samples = {begin, end},
-            .weight = 0,
-            .t = 0,
-            .variance = 0,
-            .shaded = false,
-            .rgb = {},
-            .normal = {}};
+               .samples = {begin, end},
+               .weight = 0,
+               .t = 0,
+               .variance = 0,
+               .shaded = false,
+               .rgb = {},
+               .normal = {}};
   for (int64_t i = begin; i < end; ++i) {
     span.weight += weights_[i];
     span.t += weights_[i] * (t_[i] - t_[begin]);

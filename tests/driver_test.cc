@@ -158,6 +158,29 @@ TEST_F(DriverTest, ForcedDecisionsGoToTheStagesThatMakeThem) {
   EXPECT_THAT(unknown.err, HasSubstr("nothing that can be forced"));
 }
 
+TEST_F(DriverTest, AnLpipsNetworkThatComesOrChangesMakesTheScoresStaleAlone) {
+  RunFox();
+  Ran();
+  const fs::path network = root_ / "network.onnx";
+  WriteFileAtomically(network, "one");
+  EXPECT_EQ(RunFox({"--lpips", network.string()}).exit_code, 0);
+  EXPECT_THAT(Ran(), ElementsAre("eval"));
+  RunFox();  // the workspace remembers it
+  EXPECT_THAT(Ran(), IsEmpty());
+  WriteFileAtomically(network, "other");
+  RunFox();
+  EXPECT_THAT(Ran(), ElementsAre("eval"));
+  RunFox({"--lpips", "none"});
+  EXPECT_THAT(Ran(), ElementsAre("eval"));
+  WriteFileAtomically(root_ / "data/nrff/lpips_vgg.onnx", "found");
+  RunFox({}, {{"XDG_DATA_HOME", (root_ / "data").string()}});  // none was said before
+  EXPECT_THAT(Ran(), IsEmpty());
+  fs::remove_all(root_ / "work");
+  RunFox({}, {{"XDG_DATA_HOME", (root_ / "data").string()}});
+  EXPECT_THAT(ReadManifest(root_ / "work/eval")->params.at("lpips"), HasSubstr("lpips_vgg.onnx ("));
+  EXPECT_EQ(RunFox({"--lpips", (root_ / "nowhere").string()}).exit_code, 2);
+}
+
 TEST_F(DriverTest, WorkspaceStandsForItsCaptureAndLastOptions) {
   RunFox({"--steps", "10"});
   Ran();

@@ -2,6 +2,7 @@
 #include <unistd.h>
 
 #include <cmath>
+#include <cstdlib>
 #include <filesystem>
 #include <limits>
 #include <random>
@@ -159,7 +160,6 @@ TEST(ErrorMap, IsRedderThanBlueInTheMiddle) {  // channel order
   EXPECT_GT(rgb[0], 2 * rgb[2]);
 }
 
-// A pose and a render artifact with `n_test` held-out views beside one training view.
 const fs::path kNarrow = fs::path(NRFF_SOURCE_DIR) / "tests/data/lpips_narrow.onnx";
 
 // As image() of make_lpips_fixture.py.
@@ -176,6 +176,12 @@ RgbImage Pattern(int width, int height, int which) {
   return image;
 }
 
+RgbImage ToUnit(const Rgb8Image& image) {
+  RgbImage unit = Constant(image.width, image.height, 0);
+  for (size_t i = 0; i < image.rgb.size(); ++i) unit.rgb[i] = image.rgb[i] / 255.0;
+  return unit;
+}
+
 TEST(Lpips, IsWhatThePackageComputesWithTheSameNetwork) {
   LpipsNetwork network(kNarrow);
   for (const Json& pair : ReadJson(fs::path(NRFF_SOURCE_DIR) / "tests/data/lpips_narrow.json")) {
@@ -185,6 +191,18 @@ TEST(Lpips, IsWhatThePackageComputesWithTheSameNetwork) {
     ASSERT_TRUE(distance);
     // Float, over 13 layers.
     EXPECT_NEAR(*distance, expected, 1e-5 * expected) << width << "x" << height;
+  }
+}
+
+// NRFF_LPIPS: a folder that `make_lpips_fixture.py --full` filled.
+TEST(Lpips, IsWhatThePackageComputesWithNetworksOfFullSize) {
+  const char* folder = std::getenv("NRFF_LPIPS");
+  if (folder == nullptr) GTEST_SKIP() << "NRFF_LPIPS is not set";
+  for (const Json& pair : ReadJson(fs::path(folder) / "pairs.json")) {
+    LpipsNetwork network(fs::path(folder) / std::string(pair["network"]));
+    const auto image = [&](const char* which) { return ToUnit(ReadRgbPng(std::string(pair[which]))); };
+    const double expected = pair["distance"], distance = network.Distance(image("truth"), image("rendered")).value();
+    EXPECT_NEAR(distance, expected, 1e-6 * expected) << pair;
   }
 }
 
@@ -232,6 +250,7 @@ TEST(Lpips, ANetworkThatIsNotLpipsOrIsDamagedIsRefusedByName) {
   fs::remove(file);
 }
 
+// A pose and a render artifact with `n_test` held-out views beside one training view.
 class EvaluateTest : public testing::Test {
  protected:
   void SetUp() override {

@@ -17,6 +17,7 @@
 #include "pipeline/log.h"
 #include "pipeline/manifest.h"
 #include "pipeline/progress.h"
+#include "pipeline/stage.h"
 
 namespace fs = std::filesystem;
 
@@ -87,6 +88,9 @@ int main(int argc, char** argv) {
     if (kParams.contains(name)) {
       params[name] = value;
       payload += name + value;
+    } else if (name == "lpips") {
+      params[name] = nrff::LpipsParameter(value);
+      payload += params[name];
     } else if (kInputs.contains(name)) {
       inputs.push_back(nrff::ArtifactInput(value, *nrff::ReadManifest(value)));
       payload += nrff::ReadFile(fs::path(value) / "payload");

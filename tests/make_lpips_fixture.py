@@ -5,6 +5,10 @@ for the pairs of images that tests/eval_test.cc makes too.
 
     pip install lpips onnx xxhash
     tests/make_lpips_fixture.py
+    tests/make_lpips_fixture.py --full DIR TRUTH.png RENDERED.png [...]
+
+With --full it writes VGG and AlexNet of full size, with random backbones, to DIR, and to DIR/pairs.json what the package
+computes for pairs of images: `NRFF_LPIPS=DIR build/tests/eval_test --gtest_filter='Lpips.*'` compares.
 """
 
 import json
@@ -15,6 +19,7 @@ import lpips
 import numpy
 import onnx
 import torch
+from PIL import Image
 
 HERE = pathlib.Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "eval"))
@@ -30,7 +35,24 @@ def image(width, height, which):
     return torch.tensor(pixels / 255).permute(2, 0, 1)[None]
 
 
-def main():
+def full(folder, paths):
+    folder.mkdir(parents=True, exist_ok=True)
+    pairs = []
+    for network in ["vgg", "alex"]:
+        torch.manual_seed(0)
+        model = lpips.LPIPS(net=network, pnet_rand=True, verbose=False).eval()
+        onnx.save(export_lpips.make_model(model, network, "0.1", "random"), folder / f"{network}.onnx")
+        model.double()
+        for truth, rendered in zip(paths[::2], paths[1::2]):
+            images = [torch.tensor(numpy.asarray(Image.open(path).convert("RGB")) / 255).permute(2, 0, 1)[None]
+                      for path in (truth, rendered)]
+            with torch.no_grad():
+                distance = model(*images, normalize=True).item()
+            pairs.append({"network": f"{network}.onnx", "truth": truth, "rendered": rendered, "distance": distance})
+    (folder / "pairs.json").write_text(json.dumps(pairs, indent=1) + "\n")
+
+
+def narrow():
     torch.manual_seed(0)
     model = lpips.LPIPS(net="vgg", pnet_rand=True, verbose=False).eval()
     for modules in export_lpips.features_of(model):
@@ -45,7 +67,6 @@ def main():
         lin.model[-1].weight = torch.nn.Parameter(torch.rand(1, n, 1, 1))
     onnx.save(export_lpips.make_model(model, "narrow", "0.1", "random"), HERE / "data/lpips_narrow.onnx")
     model.double()
-    model.scaling_layer.double()
     pairs = []
     with torch.no_grad():
         for width, height in [(48, 40), (33, 65), (32, 32)]:
@@ -55,4 +76,9 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    if sys.argv[1:2] == ["--full"] and len(sys.argv) >= 5 and len(sys.argv) % 2 == 1:
+        full(pathlib.Path(sys.argv[2]), sys.argv[3:])
+    elif len(sys.argv) == 1:
+        narrow()
+    else:
+        sys.exit(__doc__)

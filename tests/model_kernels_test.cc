@@ -230,6 +230,9 @@ TEST(FastMath, GeluOfLargeNumbers) {
     EXPECT_EQ(gelu, 0);
     EXPECT_NEAR(derivative, 0, 1e-30);
   }
+  float gelu = 0, derivative = 0;
+  FastGelu(NAN, gelu, derivative);
+  EXPECT_TRUE(std::isnan(gelu));
 }
 
 // raw such that softplus(raw − 1) = x

@@ -28,6 +28,7 @@ void Sleep(double seconds) { std::this_thread::sleep_for(std::chrono::duration<d
 [[noreturn]] void RunChild(const std::vector<std::string>& command, const ProgramOptions& options, const fs::path& out,
                            const fs::path& err) {
   setsid();
+  setenv("XDG_DATA_HOME", "/nonexistent", 1);  // no LPIPS network of the user's own
   for (const auto& [name, value] : options.environment) setenv(name.c_str(), value.c_str(), 1);
   if (options.file_size_limit_bytes > 0) {
     const rlimit limit{options.file_size_limit_bytes, options.file_size_limit_bytes};

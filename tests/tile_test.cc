@@ -75,34 +75,51 @@ TEST(TileGemm, IsTheProductWhateverTheSizes) {
   }
 }
 
+// A product of 49 × 112 sums of k products; rows of C are three floats longer.
+struct Product {
+  static constexpr int64_t kM = 49, kN = 112, kRow = kN + 3;
+
+  explicit Product(int64_t k) : k_(k), a_(Floats(kM * k, 1)), b_(Floats(k * kN, 2)) {}
+
+  static std::vector<float> Floats(int64_t n, uint64_t seed) {
+    const auto values = Uniforms(n, -1, 1, seed);
+    return {values.begin(), values.end()};
+  }
+
+  GemmArgs Into(std::vector<float>& c) const {
+    return {.m = kM,
+            .n = kN,
+            .k = k_,
+            .a = a_.data(),
+            .a_row = k_,
+            .a_column = 1,
+            .b = b_.data(),
+            .b_row = kN,
+            .c = c.data(),
+            .c_row = kRow};
+  }
+
+ private:
+  int64_t k_;
+  std::vector<float> a_, b_;
+};
+
 TEST(TileGemm, AnActivationIsThatOfTheSumAndHasItsDerivative) {
-  constexpr int64_t kM = 49, kN = 112, kRow = kN + 3;
   for (const int64_t k : {17, 545}) {
-    const auto a = Uniforms(kM * k, -1, 1, 1), b = Uniforms(k * kN, -1, 1, 2);
-    const std::vector<float> af(a.begin(), a.end()), bf(b.begin(), b.end());
-    std::vector<float> sum(kM * kRow, 7.F);
-    GemmArgs args{.m = kM,
-                  .n = kN,
-                  .k = k,
-                  .a = af.data(),
-                  .a_row = k,
-                  .a_column = 1,
-                  .b = bf.data(),
-                  .b_row = kN,
-                  .c = sum.data(),
-                  .c_row = kRow};
-    TileGemm(args);
+    const Product product(k);
+    std::vector<float> sum(Product::kM * Product::kRow, 7.F);
+    TileGemm(product.Into(sum));
     for (const Activation activation : {Activation::kGelu, Activation::kRelu}) {
       for (const bool with_derivative : {true, false}) {
-        std::vector<float> after(kM * kRow, 7.F), derivative(kM * kRow, 7.F);
-        args.c = after.data();
+        std::vector<float> after(sum.size(), 7.F), derivative(sum.size(), 7.F);
+        GemmArgs args = product.Into(after);
         args.activation = activation;
         args.derivative = with_derivative ? derivative.data() : nullptr;
         TileGemm(args);
-        for (int64_t at = 0; at < kM * kRow; ++at) {
+        for (size_t at = 0; at < sum.size(); ++at) {
           float expected = sum[at] > 0 ? sum[at] : 0, slope = sum[at] > 0 ? 1 : 0;
           if (activation == Activation::kGelu) FastGelu(sum[at], expected, slope);
-          if (at % kRow >= kN) expected = slope = 7;
+          if (at % Product::kRow >= Product::kN) expected = slope = 7;
           ASSERT_NEAR(after[at], expected, 1e-6 * std::max(1.F, std::abs(expected)));
           ASSERT_NEAR(derivative[at], with_derivative ? slope : 7, 1e-6);
         }
@@ -112,27 +129,16 @@ TEST(TileGemm, AnActivationIsThatOfTheSumAndHasItsDerivative) {
 }
 
 TEST(TileGemm, AFactorScalesTheSum) {
-  constexpr int64_t kM = 49, kN = 112, kRow = kN + 3;
   for (const int64_t k : {17, 545}) {
-    const auto a = Uniforms(kM * k, -1, 1, 1), b = Uniforms(k * kN, -1, 1, 2), f = Uniforms(kM * kRow, -1, 1, 3);
-    const std::vector<float> af(a.begin(), a.end()), bf(b.begin(), b.end()), factor(f.begin(), f.end());
-    std::vector<float> sum(kM * kRow, 7.F), scaled = sum;
-    GemmArgs args{.m = kM,
-                  .n = kN,
-                  .k = k,
-                  .a = af.data(),
-                  .a_row = k,
-                  .a_column = 1,
-                  .b = bf.data(),
-                  .b_row = kN,
-                  .c = sum.data(),
-                  .c_row = kRow};
-    TileGemm(args);
-    args.c = scaled.data();
+    const Product product(k);
+    std::vector<float> sum(Product::kM * Product::kRow, 7.F), scaled = sum;
+    const std::vector<float> factor = Product::Floats(Product::kM * Product::kRow, 3);
+    TileGemm(product.Into(sum));
+    GemmArgs args = product.Into(scaled);
     args.factor = factor.data();
     TileGemm(args);
-    for (int64_t at = 0; at < kM * kRow; ++at) {
-      const float expected = at % kRow >= kN ? 7 : sum[at] * factor[at];
+    for (size_t at = 0; at < sum.size(); ++at) {
+      const float expected = at % Product::kRow >= Product::kN ? 7 : sum[at] * factor[at];
       ASSERT_NEAR(scaled[at], expected, 1e-6 * std::max(1.F, std::abs(sum[at])));
     }
   }

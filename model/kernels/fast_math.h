@@ -55,7 +55,8 @@ NRFF_INLINE void FastSoftplus(Scalar x, Scalar& softplus, Scalar& derivative) {
   derivative = numerator / (1 + e);
 }
 
-// x · Φ(x), Φ the standard normal distribution function, and the derivative Φ(x) + x φ(x). Φ is within 2.5e-7.
+// x · Φ(x), Φ the standard normal distribution function, and the derivative Φ(x) + x φ(x). Φ is within 2.5e-7; gelu of
+// NaN is NaN. The polynomials are minimax fits by Lawson's iteration.
 NRFF_INLINE void FastGelu(float x, float& gelu, float& derivative) {
   constexpr float kInverseRoot2Pi = 0.398942280F;
   // By bits, as compilers make detours of comparisons.

@@ -340,11 +340,8 @@ void ShadingTile::BackwardNetwork(const std::vector<LinearLayer>& layers, const 
   int d = d_output;
   for (int i = int(layers.size()) - 1; i >= 0; --i) {
     const int next = i == 0 ? d_input : scratch_[i % 2];
-    if (i == 0) {
-      BackwardLayer(layers[i], input, nullptr, d, next, n, gradients[i]);
-    } else {
-      BackwardLayer(layers[i], hidden[i - 1].after, Row(hidden[i - 1].derivative), d, next, n, gradients[i]);
-    }
+    BackwardLayer(layers[i], i == 0 ? input : hidden[i - 1].after, i == 0 ? nullptr : Row(hidden[i - 1].derivative), d,
+                  next, n, gradients[i]);
     d = next;
   }
 }

@@ -64,7 +64,7 @@ struct GemmArgs {
 };
 void TileGemm(const GemmArgs& args);
 
-// The same with B(k, j) = b[j · b_row + k], in float, without an activation. scratch: the product's use, [k rounded up
+// The same with B(k, j) = b[j · b_row + k], in float, without an activation or a factor. scratch: the product's use, [k rounded up
 // to 4][scratch_row], with scratch_row ≥ n.
 struct GemmScratch {
   float* values = nullptr;

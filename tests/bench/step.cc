@@ -163,7 +163,7 @@ class Bench {
     SetOccupancy();
     const RenderedImage exact = Render(0);
     Json result = Json::array();
-    // 1e-6: every sample is shaded, but with bf16 products.
+    // 1e-6: all samples, those below the weight threshold too, with bf16 products.
     for (const double steps : {0., 1e-6, 0.125, 0.25, 0.5, 1., 2., 4.}) {  // of 8 bits
       const auto start = Clock::now();
       const RenderedImage image = Render(steps / 255);
