@@ -163,22 +163,26 @@ TEST_F(DriverTest, AnLpipsNetworkThatComesOrChangesMakesTheScoresStaleAlone) {
   Ran();
   const fs::path network = root_ / "network.onnx";
   WriteFileAtomically(network, "one");
-  EXPECT_EQ(RunFox({"--lpips", network.string()}).exit_code, 0);
+  const std::vector<std::string> with_network = {"--lpips", network.string()};
+  EXPECT_EQ(RunFox(with_network).exit_code, 0);
   EXPECT_THAT(Ran(), ElementsAre("eval"));
-  RunFox();  // the workspace remembers it
+  RunFox(with_network);
   EXPECT_THAT(Ran(), IsEmpty());
   WriteFileAtomically(network, "other");
+  RunFox(with_network);
+  EXPECT_THAT(Ran(), ElementsAre("eval"));
   RunFox();
   EXPECT_THAT(Ran(), ElementsAre("eval"));
-  RunFox({"--lpips", "none"});
-  EXPECT_THAT(Ran(), ElementsAre("eval"));
+
+  fs::create_directories(root_ / "data/nrff");
   WriteFileAtomically(root_ / "data/nrff/lpips_vgg.onnx", "found");
-  RunFox({}, {{"XDG_DATA_HOME", (root_ / "data").string()}});  // none was said before
+  const std::map<std::string, std::string> place = {{"XDG_DATA_HOME", (root_ / "data").string()}};
+  RunFox({"--lpips", "none"}, place);
   EXPECT_THAT(Ran(), IsEmpty());
-  fs::remove_all(root_ / "work");
-  RunFox({}, {{"XDG_DATA_HOME", (root_ / "data").string()}});
+  RunFox({}, place);
+  EXPECT_THAT(Ran(), ElementsAre("eval"));
   EXPECT_THAT(ReadManifest(root_ / "work/eval")->params.at("lpips"), HasSubstr("lpips_vgg.onnx ("));
-  EXPECT_EQ(RunFox({"--lpips", (root_ / "nowhere").string()}).exit_code, 2);
+  EXPECT_NE(RunFox({"--lpips", (root_ / "nowhere").string()}).exit_code, 0);
 }
 
 TEST_F(DriverTest, WorkspaceStandsForItsCaptureAndLastOptions) {
