@@ -69,6 +69,7 @@ void CheckGraph(const OnnxModel& model) {
     if (!known.contains(kind)) throw std::runtime_error("it has the operator " + kind + ", which no backbone has");
   }
   std::vector<std::string> expected;
+  expected.reserve(kLayers);
   for (int layer = 0; layer < kLayers; ++layer) expected.push_back(FeatureName(layer));
   if (model.outputs != expected) throw std::runtime_error("its outputs are not feature0 to feature4");
 }
