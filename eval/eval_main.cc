@@ -1,19 +1,37 @@
-// nrff-eval: scores rendered held-out views against the photos.
+// nrff-eval: scores rendered held-out views against the photos, or one folder of images against another.
+#include <filesystem>
+#include <string>
 #include <thread>
 
 #include "eval/evaluate.h"
+#include "pipeline/error.h"
 #include "pipeline/stage.h"
 
 int main(int argc, char** argv) {
   CLI::App app(
       "Scores rendered held-out views against the photos: PSNR, SSIM, LPIPS, error pictures.\n"
-      "Example: nrff-eval --scene work/fox/pose --renders work/fox/render --out work/fox/eval",
+      "Example: nrff-eval --scene work/fox/pose --renders work/fox/render --out work/fox/eval\n"
+      "Or any two folders of images with the same names, whoever made them:\n"
+      "         nrff-eval --truth photos --rendered renders --out scores",
       "nrff-eval");
   std::filesystem::path scene, renders, out;
+  nrff::Folders folders;
   int n_threads = int(std::max(1u, std::thread::hardware_concurrency()));
-  app.add_option("--scene", scene, "Artifact of the pose stage")->required();
-  app.add_option("--renders", renders, "Artifact of the render stage")->required();
+  auto* scene_option = app.add_option("--scene", scene, "Artifact of the pose stage");
+  auto* renders_option = app.add_option("--renders", renders, "Artifact of the render stage")->needs(scene_option);
+  scene_option->needs(renders_option);
+  auto* truth = app.add_option("--truth", folders.truth, "Folder of photos instead")->excludes(scene_option);
+  auto* rendered = app.add_option("--rendered", folders.rendered, "Folder of rendered images")->needs(truth);
+  truth->needs(rendered);
   app.add_option("--out", out, "Where the artifact is written")->required();
+  app.add_option("--masks", folders.masks, "Folder of masks: what is white in them counts")
+      ->needs(truth)
+      ->group(nrff::kParameterGroup);
+  std::string background = "white";
+  app.add_option("--background", background, "Behind alpha and outside masks: white, black (white)")
+      ->needs(truth)
+      ->check(CLI::IsMember({"white", "black"}))
+      ->group(nrff::kParameterGroup);
   std::string lpips = nrff::needs::kNoLpips;
   app.add_option("--lpips", lpips, "LPIPS network (eval/export_lpips.py), or none")
       ->type_name("FILE")
@@ -21,10 +39,20 @@ int main(int argc, char** argv) {
   app.add_option("--threads", n_threads, "Images at a time")->capture_default_str()->check(CLI::Range(1, 1024));
   nrff::AddVerbosity(app);
   return nrff::StageMain(app, argc, argv, [&] {
+    const bool given_folders = truth->count() > 0;
+    if (!given_folders && scene_option->count() == 0) {
+      throw nrff::UsageError("give --scene and --renders, or --truth and --rendered (see nrff-eval --help)");
+    }
     const std::filesystem::path found = nrff::DefaultLpipsNetwork();
     if (app.count("--lpips") == 0 && !found.empty()) lpips = found.string();
     nrff::Params params = nrff::GivenParams(app);
     params["lpips"] = nrff::LpipsParameter(lpips);
-    nrff::Evaluate(scene, renders, out, params, nrff::ChooseLpips(lpips), n_threads);
+    const nrff::LpipsChoice choice = nrff::ChooseLpips(lpips);
+    if (given_folders) {
+      folders.background = background == "white" ? nrff::Background::kWhite : nrff::Background::kBlack;
+      nrff::Compare(folders, out, params, choice, n_threads);
+    } else {
+      nrff::Evaluate(scene, renders, out, params, choice, n_threads);
+    }
   });
 }

@@ -1,24 +1,18 @@
 #include "eval/evaluate.h"
 
-#include <atomic>
-#include <cmath>
-#include <future>
+#include <algorithm>
+#include <iomanip>
 #include <map>
-#include <mutex>
-#include <optional>
+#include <sstream>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include "eval/error_map.h"
-#include "eval/metrics.h"
-#include "eval/png.h"
+#include "eval/image_file.h"
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "pipeline/json.h"
 #include "pipeline/log.h"
-#include "pipeline/progress.h"
-#include "pipeline/scene.h"
 
 namespace nrff {
 namespace {
@@ -29,40 +23,34 @@ constexpr int kRendersSchemaVersion = 1;
 constexpr int kMetricsSchemaVersion = 1;
 constexpr char kNoViewReason[] = "no held-out view was registered, so there is nothing to compare with";
 
-struct Score {
-  double psnr = 0;             // dB; infinite when identical
-  std::optional<double> ssim;  // none when the image is smaller than the window
-  std::optional<double> lpips;
-};
-
 // What alpha is composited on. Where a scene names nothing, black: what a pixel without a colour shows.
 Background BehindAlpha(Background background) {
   return background == Background::kNone ? Background::kBlack : background;
 }
 
-// The view's pixels as RGB; RGBA (straight alpha) over the background, rounded.
-Rgb8Image Composited(const View& view, const uint8_t* pixels, Background background) {
-  Rgb8Image image{view.width, view.height, {}};
+StoredImage PhotoOf(const View& view, const uint8_t* pixels) {
   const size_t n_pixels = size_t(view.width) * view.height;
-  if (view.channels == 3) {
-    image.rgb.assign(pixels, pixels + 3 * n_pixels);
-    return image;
+  StoredImage photo{{view.width, view.height, std::vector<double>(3 * n_pixels)}, {}, 8};
+  if (view.channels == 4) photo.alpha.resize(n_pixels);
+  for (size_t i = 0; i < n_pixels; ++i, pixels += view.channels) {
+    for (size_t c = 0; c < 3; ++c) photo.rgb.rgb[3 * i + c] = pixels[c] / 255.0;
+    if (view.channels == 4) photo.alpha[i] = pixels[3] / 255.0;
   }
-  image.rgb.resize(3 * n_pixels);
-  const int behind = BehindAlpha(background) == Background::kWhite ? 255 : 0;
-  for (size_t i = 0; i < n_pixels; ++i) {
-    const int alpha = pixels[4 * i + 3];
-    for (size_t c = 0; c < 3; ++c) {
-      image.rgb[3 * i + c] = uint8_t((pixels[4 * i + c] * alpha + behind * (255 - alpha) + 127) / 255);
-    }
-  }
-  return image;
+  return photo;
 }
 
-RgbImage ToUnitRange(const Rgb8Image& image) {
-  RgbImage unit{image.width, image.height, std::vector<double>(image.rgb.size())};
-  for (size_t i = 0; i < image.rgb.size(); ++i) unit.rgb[i] = image.rgb[i] / 255.0;
-  return unit;
+std::optional<Mask> ForegroundOf(const StoredImage& photo) {
+  Mask foreground;
+  for (const double alpha : photo.alpha) foreground.push_back(alpha >= 0.5 ? 1 : 0);
+  if (std::count(foreground.begin(), foreground.end(), 1) == 0) return std::nullopt;
+  return foreground;
+}
+
+// The 8-bit picture's values.
+RgbImage FromEightBits(int width, int height, const std::vector<uint8_t>& rgb) {
+  RgbImage image{width, height, std::vector<double>(rgb.size())};
+  for (size_t i = 0; i < rgb.size(); ++i) image.rgb[i] = rgb[i] / 255.0;
+  return image;
 }
 
 // Id → path of the rendered image, relative to the render artifact.
@@ -78,156 +66,120 @@ std::map<std::string, std::string> RenderedPaths(const fs::path& renders_dir) {
   return paths;
 }
 
-// Runs work(i) for i in [0, n) on `n_threads` threads; the first exception is thrown again here.
-template <typename Work>
-void ForEachIndex(size_t n, int n_threads, const Work& work) {
-  std::atomic<size_t> next{0};
-  std::vector<std::future<void>> workers;
-  workers.reserve(n_threads);
-  for (int t = 0; t < n_threads; ++t) {
-    workers.push_back(std::async(std::launch::async, [&] {
-      try {
-        for (size_t i = next++; i < n; i = next++) work(i);
-      } catch (...) {
-        next = n;
-        throw;
-      }
-    }));
-  }
-  for (auto& worker : workers) worker.wait();
-  for (auto& worker : workers) worker.get();
-}
+std::string SizeText(int width, int height) { return std::to_string(width) + "×" + std::to_string(height) + " px"; }
 
-// LPIPS for many threads, one at a time: OpenCV uses all cores for each.
-class SharedLpips {
+// What the images of a scoring have in common, as the protocol states it.
+struct Common {
+  std::string background, split, resize;
+  bool masked = false;
+};
+
+// The images of one scoring, filled in by several threads, each its own places.
+class Scoring {
  public:
-  explicit SharedLpips(LpipsNetwork* network) : network_(network) {}
+  Scoring(size_t n, fs::path out) : entries_(n), bits_(n, {8, 8}), out_(std::move(out)) {
+    fs::create_directories(out_ / "error");
+  }
 
-  std::optional<double> Distance(const RgbImage& truth, const RgbImage& rendered) {
-    if (network_ == nullptr) return std::nullopt;
-    const std::lock_guard lock(mutex_);
-    return network_->Distance(truth, rendered);
+  Score Add(size_t i, const std::string& id, const ScoredPair& pair, const StoredImage& truth,
+            const StoredImage& rendered, SharedLpips& lpips, bool with_lpips) {
+    const Score score = ScoreImages(pair, lpips);
+    const int width = pair.truth.width, height = pair.truth.height;
+    WriteRgbPng(out_ / "error" / (id + ".png"), width, height, ErrorMap(pair.truth, pair.rendered));
+    bits_[i] = {truth.bits, rendered.bits};
+    Json& entry = entries_[i] = ScoreToJson(score, with_lpips);
+    entry["id"] = id;
+    entry["width"] = width;
+    entry["height"] = height;
+    entry["error"] = EscapePath("error/" + id + ".png");
+    return score;
+  }
+  Json& entry(size_t i) { return entries_[i]; }
+
+  // Writes metrics.json and commits the artifact.
+  void Finish(const std::vector<Score>& scores, const LpipsChoice& lpips, const Common& common,
+              ArtifactWriter& artifact) const {
+    Json names = Json::array();
+    for (const Json& entry : entries_) names.push_back(entry.at("name"));
+    const auto most = [&](int Bits::*which) {
+      int bits = 8;
+      for (const Bits& b : bits_) bits = std::max(bits, b.*which);
+      return bits;
+    };
+    const int truth = most(&Bits::truth), rendered = most(&Bits::rendered);
+    Json protocol = MetricsProtocol(lpips.network.get());
+    protocol["bits"] = {{"truth", truth}, {"rendered", rendered}};
+    protocol["quantised"] = truth == 8 && rendered == 8;
+    protocol["background"] = common.background;
+    protocol["split"] = common.split;
+    protocol["resize"] = common.resize;
+    protocol["masked"] = common.masked;
+    protocol["images"] = names;
+    const Json metrics = MeanScores(scores, lpips, kNoViewReason);
+    WriteJson(artifact.dir() / "metrics.json", {{"schema_version", kMetricsSchemaVersion},
+                                                {"protocol", protocol},
+                                                {"metrics", metrics},
+                                                {"images", entries_}});
+    artifact.facts() = metrics;
+    artifact.facts()["protocol"] = protocol;
+    artifact.AddDecision(lpips.decision);
+    for (const char* output : {"metrics.json", "truth", "error"}) {
+      if (fs::exists(artifact.dir() / output)) artifact.AddOutput(output);
+    }
+    artifact.Commit();
   }
 
  private:
-  LpipsNetwork* network_;
-  std::mutex mutex_;
+  struct Bits {
+    int truth, rendered;
+  };
+  std::vector<Json> entries_;
+  std::vector<Bits> bits_;
+  fs::path out_;
 };
 
-// Truth, render and error of one view: writes the two pictures, returns the figures.
-Score ScoreView(const View& view, const Rgb8Image& truth, const fs::path& rendered_path, const fs::path& out,
-                SharedLpips& lpips) {
-  const Rgb8Image rendered = ReadRgbPng(rendered_path);
-  if (rendered.width != view.width || rendered.height != view.height) {
-    throw InputError("Image " + EscapePath(rendered_path) + " is " + std::to_string(rendered.width) + "×" +
-                     std::to_string(rendered.height) + " px but its photo in the scene " + std::to_string(view.width) +
-                     "×" + std::to_string(view.height) + " px; render the views again from this scene.");
+// The images of a folder by their names without extension.
+std::map<std::string, fs::path> ImagesByStem(const fs::path& folder) {
+  if (!fs::is_directory(folder)) throw InputError(EscapePath(folder) + " is no folder; give one that holds images.");
+  constexpr const char* kExtensions[] = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp"};
+  std::map<std::string, fs::path> images;
+  for (const fs::directory_entry& entry : fs::directory_iterator(folder)) {
+    std::string extension = entry.path().extension();
+    std::transform(extension.begin(), extension.end(), extension.begin(),
+                   [](unsigned char c) { return char(std::tolower(c)); });
+    if (std::find(std::begin(kExtensions), std::end(kExtensions), extension) == std::end(kExtensions)) continue;
+    const auto [known, is_new] = images.emplace(entry.path().stem(), entry.path());
+    if (!is_new) {
+      throw InputError(EscapePath(known->second) + " and " + EscapePath(entry.path()) +
+                       " differ in their extensions alone; remove one of them.");
+    }
   }
-  const RgbImage truth_unit = ToUnitRange(truth), rendered_unit = ToUnitRange(rendered);
-  WriteRgbPng(out / "truth" / (view.id + ".png"), truth);
-  WriteRgbPng(out / "error" / (view.id + ".png"), {view.width, view.height, ErrorMap(truth_unit, rendered_unit)});
-  return {Psnr(truth_unit, rendered_unit), Ssim(truth_unit, rendered_unit), lpips.Distance(truth_unit, rendered_unit)};
+  if (images.empty()) throw InputError(EscapePath(folder) + " holds no images (PNG, JPEG, TIFF, WebP).");
+  return images;
 }
 
-Json ImageEntry(const View& view, const Score& score, const std::string& rendered_path, bool with_lpips) {
-  Json entry = {{"id", view.id},
-                {"name", view.name},
-                {"width", view.width},
-                {"height", view.height},
-                {"psnr", score.psnr},
-                {"ssim", nullptr},
-                {"lpips", nullptr},
-                {"rendered", rendered_path},
-                {"truth", "truth/" + view.id + ".png"},
-                {"error", "error/" + view.id + ".png"}};
-  if (std::isinf(score.psnr)) {
-    entry["psnr"] = nullptr;
-    entry["identical"] = true;
-  }
-  if (score.ssim) {
-    entry["ssim"] = *score.ssim;
-  } else {
-    entry["ssim_reason"] = "the image is smaller than the window of " + std::to_string(kSsimWindow) + " px";
-  }
-  if (score.lpips) {
-    entry["lpips"] = *score.lpips;
-  } else if (with_lpips) {
-    entry["lpips_reason"] = "the image is smaller than " + std::to_string(kLpipsSmallest) + " px";
-  }
-  return entry;
+const fs::path& CounterpartOf(const fs::path& image, const std::map<std::string, fs::path>& others,
+                              const fs::path& folder) {
+  const auto found = others.find(image.stem());
+  if (found != others.end()) return found->second;
+  throw InputError(EscapePath(image) + " has no image of that name in " + EscapePath(folder) +
+                   "; names without extension have to be the same.");
 }
 
-Json Means(const std::vector<Score>& scores, const LpipsChoice& lpips) {
-  double psnr_sum = 0, ssim_sum = 0, lpips_sum = 0;
-  int n_psnr = 0, n_ssim = 0, n_lpips = 0;
-  for (const Score& score : scores) {
-    if (std::isfinite(score.psnr)) psnr_sum += score.psnr, ++n_psnr;
-    if (score.ssim) ssim_sum += *score.ssim, ++n_ssim;
-    if (score.lpips) lpips_sum += *score.lpips, ++n_lpips;
-  }
-  Json metrics = {{"psnr", nullptr}, {"ssim", nullptr}, {"lpips", nullptr}, {"n_images", scores.size()}};
-  if (n_psnr > 0) {
-    metrics["psnr"] = psnr_sum / n_psnr;
-  } else {
-    metrics["psnr_reason"] = scores.empty() ? kNoViewReason : "every image is identical to its photo";
-  }
-  if (n_ssim > 0) {
-    metrics["ssim"] = ssim_sum / n_ssim;
-  } else {
-    metrics["ssim_reason"] = scores.empty() ? kNoViewReason : "every image is smaller than the window";
-  }
-  if (n_lpips > 0) {
-    metrics["lpips"] = lpips_sum / n_lpips;
-  } else {
-    metrics["lpips_reason"] = lpips.network == nullptr ? lpips.decision.reason
-                              : scores.empty()         ? kNoViewReason
-                                                       : "every image is smaller than the network can take";
-  }
-  const int n_identical = int(scores.size()) - n_psnr;
-  if (n_identical > 0) metrics["n_identical"] = n_identical;
-  return metrics;
+void CheckSizes(const fs::path& first, const RgbImage& a, const fs::path& second, const RgbImage& b) {
+  if (a.width == b.width && a.height == b.height) return;
+  throw InputError("Image " + EscapePath(first) + " is " + SizeText(a.width, a.height) + " but " + EscapePath(second) +
+                   " " + SizeText(b.width, b.height) + "; both must have the same size.");
 }
 
-Json Protocol(const Scene& scene, const std::vector<int>& held_out, const std::string& split_rule,
-              const LpipsNetwork* lpips) {
-  Json names = Json::array();
-  bool has_alpha = false;
-  for (int index : held_out) {
-    names.push_back(scene.views[index].name);
-    has_alpha = has_alpha || scene.views[index].channels == 4;
+// Outside the mask, the background in both.
+void Hide(const Mask& mask, Background background, RgbImage& image) {
+  for (size_t i = 0; i < image.rgb.size(); ++i) {
+    if (mask[i / 3] == 0) image.rgb[i] = background == Background::kWhite ? 1 : 0;
   }
-  Json protocol = {{"range", {0, 1}},
-                   {"quantised", true},
-                   {"background", BackgroundName(has_alpha ? BehindAlpha(scene.background) : Background::kNone)},
-                   {"ssim",
-                    {{"window", kSsimWindow},
-                     {"weights", "Gaussian"},
-                     {"sigma", kSsimSigma},
-                     {"k1", kSsimK1},
-                     {"k2", kSsimK2},
-                     {"border", "valid"},
-                     {"channels", "RGB, mean of the three"},
-                     {"covariance", "population"}}},
-                   {"mean", "every figure per image, then the mean of the images"},
-                   {"split", split_rule},
-                   {"resize", "area average"},
-                   {"images", names},
-                   {"error_map", {{"measure", "root mean square over RGB"}, {"range", {0, kErrorMapRange}}}}};
-  if (lpips != nullptr) {
-    protocol["lpips"] = {{"network", lpips->network()}, {"version", lpips->version()}, {"hash", lpips->hash()}};
-  }
-  return protocol;
 }
 
 }  // namespace
-
-LpipsChoice ChooseLpips(const std::string& network) {
-  LpipsChoice choice{nullptr, needs::Lpips(network)};
-  if (!choice.decision.needed) return choice;
-  choice.network = std::make_unique<LpipsNetwork>(network);
-  choice.network->RequirePublished();
-  return choice;
-}
 
 void Evaluate(const fs::path& scene_dir, const fs::path& renders_dir, const fs::path& out_dir, const Params& params,
               const LpipsChoice& lpips, int n_threads) {
@@ -241,44 +193,103 @@ void Evaluate(const fs::path& scene_dir, const fs::path& renders_dir, const fs::
   ArtifactWriter artifact("eval", out_dir, params,
                           {ArtifactInput(scene_dir, scene_manifest), ArtifactInput(renders_dir, renders_manifest)});
   fs::create_directories(artifact.dir() / "truth");
-  fs::create_directories(artifact.dir() / "error");
-
-  std::vector<Score> scores(held_out.size());
-  std::vector<Json> entries(held_out.size());
-  Progress progress("scoring", double(held_out.size()), "views");
+  Scoring scoring(held_out.size(), artifact.dir());
   SharedLpips shared_lpips(lpips.network.get());
-  std::mutex progress_mutex;
-  int n_done = 0;
-  ForEachIndex(held_out.size(), n_threads, [&](size_t i) {
+  const std::vector<Score> scores = ScoreAll(held_out.size(), n_threads, [&](size_t i) {
     const View& view = scene.views[held_out[i]];
-    const auto rendered = rendered_paths.find(view.id);
-    if (rendered == rendered_paths.end()) {
+    const auto path = rendered_paths.find(view.id);
+    if (path == rendered_paths.end()) {
       throw InputError("Held-out view " + view.id + " (" + view.name + ") is not in " + EscapePath(renders_dir) +
                        "/renders.json; render the held-out views again.");
     }
-    const fs::path rendered_path = renders_dir / UnescapePath(rendered->second);
-    scores[i] = ScoreView(view, Composited(view, pack.Pixels(view), scene.background), rendered_path, artifact.dir(),
-                          shared_lpips);
-    entries[i] =
-        ImageEntry(view, scores[i], EscapePath(fs::proximate(rendered_path, out_dir)), lpips.network != nullptr);
-    const std::lock_guard lock(progress_mutex);
-    progress.Update(++n_done);
+    const fs::path rendered_path = renders_dir / UnescapePath(path->second);
+    const StoredImage rendered = ReadImage(rendered_path);
+    if (rendered.rgb.width != view.width || rendered.rgb.height != view.height) {
+      throw InputError("Image " + EscapePath(rendered_path) + " is " +
+                       SizeText(rendered.rgb.width, rendered.rgb.height) + " but its photo in the scene " +
+                       SizeText(view.width, view.height) + "; render the views again from this scene.");
+    }
+    const StoredImage photo = PhotoOf(view, pack.Pixels(view));
+    const std::string truth_path = "truth/" + view.id + ".png";
+    const std::vector<uint8_t> truth = ToEightBits(Composited(photo, BehindAlpha(scene.background)));
+    WriteRgbPng(artifact.dir() / truth_path, view.width, view.height, truth);
+    const ScoredPair pair{FromEightBits(view.width, view.height, truth), rendered.rgb, {}, ForegroundOf(photo)};
+    const Score score = scoring.Add(i, view.id, pair, photo, rendered, shared_lpips, lpips.network != nullptr);
+    scoring.entry(i)["name"] = view.name;
+    scoring.entry(i)["truth"] = truth_path;
+    scoring.entry(i)["rendered"] = EscapePath(fs::proximate(rendered_path, out_dir));
+    return score;
   });
-  progress.Done();
 
-  const Json metrics = Means(scores, lpips);
-  const Json protocol = Protocol(
-      scene, held_out, scene_manifest.facts.value("split_rule", std::string("as recorded in the scene's views")),
-      lpips.network.get());
-  WriteJson(
-      artifact.dir() / "metrics.json",
-      {{"schema_version", kMetricsSchemaVersion}, {"protocol", protocol}, {"metrics", metrics}, {"images", entries}});
-  artifact.facts() = metrics;
-  artifact.facts()["protocol"] = protocol;
-  artifact.AddDecision(lpips.decision);
-  for (const char* output : {"metrics.json", "truth", "error"}) artifact.AddOutput(output);
-  artifact.Commit();
+  const bool has_alpha =
+      std::any_of(held_out.begin(), held_out.end(), [&](int index) { return scene.views[index].channels == 4; });
+  scoring.Finish(
+      scores, lpips,
+      {BackgroundName(has_alpha ? BehindAlpha(scene.background) : Background::kNone),
+       scene_manifest.facts.value("split_rule", std::string("as recorded in the scene's views")), "area average"},
+      artifact);
   if (scores.empty()) LogWarning(std::string("nothing was scored: ") + kNoViewReason);
+}
+
+void Compare(const Folders& folders, const fs::path& out_dir, const Params& params, const LpipsChoice& lpips,
+             int n_threads) {
+  const std::map<std::string, fs::path> truths = ImagesByStem(folders.truth);
+  const std::map<std::string, fs::path> masks =
+      folders.masks.empty() ? std::map<std::string, fs::path>() : ImagesByStem(folders.masks);
+  std::vector<fs::path> rendered_paths;
+  for (const auto& [stem, path] : ImagesByStem(folders.rendered)) rendered_paths.push_back(path);
+  if (rendered_paths.size() < truths.size()) {
+    LogWarning(EscapePath(folders.rendered) + " has " + std::to_string(rendered_paths.size()) + " of the " +
+               std::to_string(truths.size()) + " images of " + EscapePath(folders.truth) + ": the rest is not scored");
+  }
+  std::vector<HashedPath> inputs;
+  for (const fs::path& folder : {folders.truth, folders.rendered, folders.masks}) {
+    if (!folder.empty()) inputs.push_back({EscapePath(folder), HashTree(folder), 0});
+  }
+  ArtifactWriter artifact("eval", out_dir, params, inputs);
+  Scoring scoring(rendered_paths.size(), artifact.dir());
+  SharedLpips shared_lpips(lpips.network.get());
+  std::vector<uint8_t> has_alpha(rendered_paths.size());
+  const std::vector<Score> scores = ScoreAll(rendered_paths.size(), n_threads, [&](size_t i) {
+    const fs::path& rendered_path = rendered_paths[i];
+    const fs::path& truth_path = CounterpartOf(rendered_path, truths, folders.truth);
+    const StoredImage truth = ReadImage(truth_path), rendered = ReadImage(rendered_path);
+    CheckSizes(rendered_path, rendered.rgb, truth_path, truth.rgb);
+    has_alpha[i] = !truth.alpha.empty() || !rendered.alpha.empty();
+    ScoredPair pair{
+        Composited(truth, folders.background), Composited(rendered, folders.background), {}, ForegroundOf(truth)};
+    if (!folders.masks.empty()) {
+      const fs::path& mask_path = CounterpartOf(rendered_path, masks, folders.masks);
+      const StoredImage mask = ReadImage(mask_path);
+      CheckSizes(mask_path, mask.rgb, truth_path, truth.rgb);
+      pair.mask.emplace();
+      for (size_t p = 0; p < mask.rgb.rgb.size(); p += 3) pair.mask->push_back(mask.rgb.rgb[p] >= 0.5 ? 1 : 0);
+      if (std::count(pair.mask->begin(), pair.mask->end(), 1) == 0) {
+        throw InputError("Mask " + EscapePath(mask_path) + " is black all over; it leaves no pixel to compare.");
+      }
+      for (RgbImage* image : {&pair.truth, &pair.rendered}) Hide(*pair.mask, folders.background, *image);
+    }
+    const std::string id = EscapePath(rendered_path.stem());
+    const Score score = scoring.Add(i, id, pair, truth, rendered, shared_lpips, lpips.network != nullptr);
+    scoring.entry(i)["name"] = EscapePath(rendered_path.filename());
+    scoring.entry(i)["truth"] = EscapePath(fs::proximate(truth_path, out_dir));
+    scoring.entry(i)["rendered"] = EscapePath(fs::proximate(rendered_path, out_dir));
+    return score;
+  });
+  const bool any_alpha = std::count(has_alpha.begin(), has_alpha.end(), 1) > 0;
+  scoring.Finish(scores, lpips,
+                 {BackgroundName(any_alpha || !masks.empty() ? folders.background : Background::kNone),
+                  "the images of a folder", "none", !masks.empty()},
+                 artifact);
+  const auto text = [&](const char* key, int digits) {
+    const Json& value = artifact.facts().at(key);
+    if (value.is_null()) return std::string("none");
+    std::ostringstream fixed;
+    fixed << std::fixed << std::setprecision(digits) << value.get<double>();
+    return fixed.str();
+  };
+  LogInfo("mean of " + std::to_string(scores.size()) + " images: PSNR " + text("psnr", 2) + " dB, SSIM " +
+          text("ssim", 4) + ", LPIPS " + text("lpips", 4) + " (" + EscapePath(out_dir / "metrics.json") + ")");
 }
 
 }  // namespace nrff

@@ -34,6 +34,12 @@ void CheckImage(const RgbImage& image, const char* what) {
   }
 }
 
+void CheckMask(const Mask* mask, const RgbImage& image) {
+  if (mask == nullptr || mask->size() == size_t(image.width) * image.height) return;
+  throw InputError("A mask of " + std::to_string(mask->size()) + " pixels does not fit an image of " + SizeText(image) +
+                   "; both must have the same size.");
+}
+
 std::array<double, kSsimWindow> GaussianWeights() {
   constexpr int kRadius = kSsimWindow / 2;
   std::array<double, kSsimWindow> weights{};
@@ -86,19 +92,32 @@ void CheckPair(const RgbImage& truth, const RgbImage& rendered) {
   }
 }
 
-double Psnr(const RgbImage& truth, const RgbImage& rendered) {
+double MeanSquaredError(const RgbImage& truth, const RgbImage& rendered, const Mask* mask) {
   CheckPair(truth, rendered);
+  CheckMask(mask, truth);
   double sum = 0;
+  size_t n_values = 0;
   for (size_t i = 0; i < truth.rgb.size(); ++i) {
+    if (mask != nullptr && (*mask)[i / kChannels] == 0) continue;
     const double difference = truth.rgb[i] - rendered.rgb[i];
     sum += difference * difference;
+    ++n_values;
   }
-  if (sum == 0) return std::numeric_limits<double>::infinity();
-  return -10 * std::log10(sum / double(truth.rgb.size()));
+  if (n_values == 0) throw InputError("The mask leaves no pixel to compare; give one that is not empty.");
+  return sum / double(n_values);
 }
 
-std::optional<double> Ssim(const RgbImage& truth, const RgbImage& rendered) {
+double PsnrOf(double mean_squared_error) {
+  return mean_squared_error == 0 ? std::numeric_limits<double>::infinity() : -10 * std::log10(mean_squared_error);
+}
+
+double Psnr(const RgbImage& truth, const RgbImage& rendered, const Mask* mask) {
+  return PsnrOf(MeanSquaredError(truth, rendered, mask));
+}
+
+std::optional<double> Ssim(const RgbImage& truth, const RgbImage& rendered, const Mask* mask) {
   CheckPair(truth, rendered);
+  CheckMask(mask, truth);
   const int width = truth.width, height = truth.height;
   if (width < kSsimWindow || height < kSsimWindow) return std::nullopt;
 
@@ -109,14 +128,23 @@ std::optional<double> Ssim(const RgbImage& truth, const RgbImage& rendered) {
   const std::vector<double> mean_ab = FilterValid(Product(truth.rgb, rendered.rgb), width, height);
 
   constexpr double kC1 = kSsimK1 * kSsimK1, kC2 = kSsimK2 * kSsimK2;
+  constexpr size_t kRadius = kSsimWindow / 2;
+  const size_t out_width = size_t(width) - 2 * kRadius;
   double sum = 0;
+  size_t n_values = 0;
   for (size_t i = 0; i < mean_a.size(); ++i) {
+    if (mask != nullptr) {
+      const size_t x = i / kChannels % out_width + kRadius, y = i / kChannels / out_width + kRadius;
+      if ((*mask)[y * width + x] == 0) continue;
+    }
+    ++n_values;
     const double a = mean_a[i], b = mean_b[i];
     const double variance_sum = mean_aa[i] - a * a + mean_bb[i] - b * b;
     const double covariance = mean_ab[i] - a * b;
     sum += (2 * a * b + kC1) * (2 * covariance + kC2) / ((a * a + b * b + kC1) * (variance_sum + kC2));
   }
-  return sum / double(mean_a.size());
+  if (n_values == 0) return std::nullopt;
+  return sum / double(n_values);
 }
 
 }  // namespace nrff

@@ -52,7 +52,7 @@ const std::vector<Stage>& Table() {
        "nrff-render",
        "",
        {{"--scene", "pose"}, {"--model", "train"}},
-       {},
+       {"bit-depth"},
        {"device"},
        true,
        1024 * kMebibyte},

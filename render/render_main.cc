@@ -21,6 +21,7 @@ struct Options {
   std::string path;  // "orbit", "spiral" or a file; empty: the capture's own views
   std::string split = "test";
   PathOptions frames;
+  int bits = 8;
   std::string device = "auto";
   int n_threads = 0;
 };
@@ -59,8 +60,8 @@ void Render(const Options& options, const Params& params) {
 
   ArtifactWriter artifact("render", options.out, params, inputs, ArtifactWriter::kKeepPartial);
   artifact.SaveSeconds();
-  const RenderFacts facts = RenderViews({*model->field, model->occupancy, model->map, model->options}, views,
-                                        options.path.empty() ? "" : "path", artifact.dir());
+  const RenderFacts facts = RenderViews({*model->field, model->occupancy, model->map, model->options, options.bits},
+                                        views, options.path.empty() ? "" : "path", artifact.dir());
   if (facts.n_kept > 0) LogInfo("kept " + std::to_string(facts.n_kept) + " views of an interrupted attempt");
   artifact.facts() = {{"n_views", facts.n_views},
                       {"seconds_per_view", facts.seconds_per_view},
@@ -99,6 +100,9 @@ int main(int argc, char** argv) {
       ->check(frames);
   app.add_option("--width", options.frames.width, "px (as the photos)")->group(group)->needs(path)->check(pixels);
   app.add_option("--height", options.frames.height, "px (as the photos)")->group(group)->needs(path)->check(pixels);
+  app.add_option("--bit-depth", options.bits, "of the colours: 8 or 16 (8)")
+      ->group(group)
+      ->check(CLI::IsMember({8, 16}));
   nrff::AddVerbosity(app);
   return nrff::StageMain(app, argc, argv, [&] { nrff::Render(options, nrff::GivenParams(app)); });
 }

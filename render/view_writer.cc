@@ -47,7 +47,8 @@ std::filesystem::path RecordPath(const std::filesystem::path& dir, const View& v
   return dir / "done" / (view.id + ".json");
 }
 
-void WriteImage(const RenderedImage& image, const View& view, double depth_range, const std::filesystem::path& dir) {
+void WriteImage(const RenderedImage& image, const View& view, double depth_range, const std::filesystem::path& dir,
+                int bits) {
   for (const std::vector<float>* layer : {&image.rgb, &image.depth, &image.normal, &image.opacity}) {
     if (!std::all_of(layer->begin(), layer->end(), [](float v) { return std::isfinite(v); })) {
       throw CorruptError("the model gives values that are not numbers in view " + view.name + "; train it again");
@@ -56,7 +57,11 @@ void WriteImage(const RenderedImage& image, const View& view, double depth_range
   const int w = image.width, h = image.height;
   const auto unit = [](float v) { return v; };
   const auto inverse_range = static_cast<float>(1 / depth_range);
-  WritePng(dir / LayerPath("rgb", view), w, h, 3, QuantiseAll<uint8_t>(image.rgb, unit));
+  if (bits == 16) {
+    WritePng(dir / LayerPath("rgb", view), w, h, 3, QuantiseAll<uint16_t>(image.rgb, unit));
+  } else {
+    WritePng(dir / LayerPath("rgb", view), w, h, 3, QuantiseAll<uint8_t>(image.rgb, unit));
+  }
   WritePng(dir / LayerPath("depth", view), w, h, 1,
            QuantiseAll<uint16_t>(image.depth, [&](float v) { return v * inverse_range; }));
   WritePng(dir / LayerPath("normal", view), w, h, 3,
@@ -86,7 +91,7 @@ RenderFacts RenderViews(const RenderSource& source, const std::vector<View>& vie
   const double depth_range = DepthRange(source);
 
   RenderOptions options = source.options;
-  options.colour_tolerance = kEightBitTolerance;
+  options.colour_tolerance = source.bits == 8 ? kEightBitTolerance : 0;
 
   Progress progress("rendering", static_cast<double>(views.size()), "views");
   RenderFacts facts;
@@ -105,7 +110,7 @@ RenderFacts RenderViews(const RenderSource& source, const std::vector<View>& vie
                                               [&](int64_t n) { progress.Update(facts.n_views + n / n_view_rays); });
       record.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
       record.n_samples = static_cast<double>(image.n_samples);
-      WriteImage(image, view, depth_range, dir);
+      WriteImage(image, view, depth_range, dir, source.bits);
       WriteJson(RecordPath(dir, view), Json{{"seconds", record.seconds}, {"n_samples", record.n_samples}});
     }
     ++facts.n_views;

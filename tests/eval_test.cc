@@ -1,3 +1,4 @@
+#include <OpenImageIO/imageio.h>
 #include <gtest/gtest.h>
 #include <unistd.h>
 
@@ -9,9 +10,9 @@
 
 #include "eval/error_map.h"
 #include "eval/evaluate.h"
+#include "eval/image_file.h"
 #include "eval/lpips.h"
 #include "eval/metrics.h"
-#include "eval/png.h"
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "pipeline/manifest.h"
@@ -140,6 +141,37 @@ TEST(Metrics, RejectEmptyUnequalAndNonFiniteImages) {
   }
 }
 
+TEST(Metrics, AMaskChoosesThePixelsThatCount) {
+  const RgbImage truth = Noise(20, 15, 5);
+  RgbImage rendered = truth;
+  Mask left(size_t(20) * 15, 0);
+  for (size_t y = 0; y < 15; ++y) {
+    for (size_t x = 0; x < 20; ++x) {
+      left[y * 20 + x] = x < 10 ? 1 : 0;
+      for (size_t c = 0; c < 3; ++c) rendered.rgb[3 * (y * 20 + x) + c] += x < 10 ? 0.1 : 0.3;
+    }
+  }
+  EXPECT_NEAR(Psnr(truth, rendered, &left), 20, 1e-9);
+  EXPECT_NEAR(MeanSquaredError(truth, rendered), (0.01 + 0.09) / 2, 1e-12);
+  const Mask all(left.size(), 1);
+  EXPECT_EQ(Psnr(truth, rendered, &all), Psnr(truth, rendered));
+  EXPECT_EQ(Ssim(truth, rendered, &all), Ssim(truth, rendered));
+  // Exactly one window, the one about (5, 6).
+  Mask one(left.size(), 0);
+  one[6 * 20 + 5] = 1;
+  const auto window = [](const RgbImage& image) {
+    RgbImage part = Constant(11, 11, 0);
+    for (size_t i = 0; i < part.rgb.size(); ++i) part.rgb[i] = image.rgb[3 * ((i / 33 + 1) * 20) + i % 33];
+    return part;
+  };
+  EXPECT_NEAR(Ssim(truth, rendered, &one).value(), Ssim(window(truth), window(rendered)).value(), 1e-12);
+  Mask edge(left.size(), 0);
+  edge[0] = 1;  // no window about it
+  EXPECT_FALSE(Ssim(truth, rendered, &edge));
+  EXPECT_THROW(Psnr(truth, rendered, &(edge = Mask(left.size(), 0))), Error);
+  EXPECT_THROW(Psnr(truth, rendered, &(edge = Mask(7, 1))), Error);
+}
+
 TEST(ErrorMap, IsBlackWithoutErrorAndBrighterWithMoreUpToItsRange) {
   const auto brightness = [](double error) {
     const std::vector<uint8_t> rgb = ErrorMap(Constant(1, 1, 0.3), Constant(1, 1, 0.3 + error));
@@ -176,12 +208,6 @@ RgbImage Pattern(int width, int height, int which) {
   return image;
 }
 
-RgbImage ToUnit(const Rgb8Image& image) {
-  RgbImage unit = Constant(image.width, image.height, 0);
-  for (size_t i = 0; i < image.rgb.size(); ++i) unit.rgb[i] = image.rgb[i] / 255.0;
-  return unit;
-}
-
 TEST(Lpips, IsWhatThePackageComputesWithTheSameNetwork) {
   LpipsNetwork network(kNarrow);
   for (const Json& pair : ReadJson(fs::path(NRFF_SOURCE_DIR) / "tests/data/lpips_narrow.json")) {
@@ -200,7 +226,7 @@ TEST(Lpips, IsWhatThePackageComputesWithNetworksOfFullSize) {
   if (folder == nullptr) GTEST_SKIP() << "NRFF_LPIPS is not set";
   for (const Json& pair : ReadJson(fs::path(folder) / "pairs.json")) {
     LpipsNetwork network(fs::path(folder) / std::string(pair["network"]));
-    const auto image = [&](const char* which) { return ToUnit(ReadRgbPng(std::string(pair[which]))); };
+    const auto image = [&](const char* which) { return ReadImage(std::string(pair[which])).rgb; };
     const double expected = pair["distance"], distance = network.Distance(image("truth"), image("rendered")).value();
     EXPECT_NEAR(distance, expected, 1e-6 * expected) << pair;
   }
@@ -302,10 +328,10 @@ class EvaluateTest : public testing::Test {
     Json views = Json::array();
     for (int v = 1; v <= n_rendered; ++v) {
       const View& view = scene_.views[v];
-      Rgb8Image image{view.width + extra_width, view.height, {}};
-      for (size_t i = 0; i < size_t(3) * image.width * image.height; ++i) image.rgb.push_back(make(v, i));
+      std::vector<uint8_t> rgb(size_t(3) * (view.width + extra_width) * view.height);
+      for (size_t i = 0; i < rgb.size(); ++i) rgb[i] = make(v, i);
       const std::string path = "rgb/" + view.id + ".png";
-      WriteRgbPng(artifact.dir() / path, image);
+      WriteRgbPng(artifact.dir() / path, view.width + extra_width, view.height, rgb);
       views.push_back({{"id", view.id}, {"name", view.name}, {"split", "test"}, {"rgb", path}});
     }
     WriteJson(artifact.dir() / "renders.json", {{"schema_version", 1}, {"views", views}});
@@ -337,9 +363,9 @@ TEST_F(EvaluateTest, MeansAreOfThePerImageFiguresAndNamesTheProtocol) {
     psnr_mean += 20 * std::log10(255.0 / v) / 3;
     EXPECT_TRUE(fs::exists(dir_ / "eval" / std::string(image["rendered"]))) << image["rendered"];
     EXPECT_EQ(image["rendered"], "../render/rgb/" + scene_.views[v].id + ".png");
-    EXPECT_EQ(ReadRgbPng(dir_ / "eval" / std::string(image["error"])).width, 16);
-    const Rgb8Image truth = ReadRgbPng(dir_ / "eval" / std::string(image["truth"]));
-    for (size_t i = 0; i < truth.rgb.size(); ++i) ASSERT_EQ(truth.rgb[i], Pixel(v, i));
+    EXPECT_EQ(ReadImage(dir_ / "eval" / std::string(image["error"])).rgb.width, 16);
+    const std::vector<uint8_t> truth = ToEightBits(ReadImage(dir_ / "eval" / std::string(image["truth"])).rgb);
+    for (size_t i = 0; i < truth.size(); ++i) ASSERT_EQ(truth[i], Pixel(v, i));
   }
   EXPECT_NEAR(result["metrics"]["psnr"], psnr_mean, 1e-9);
   EXPECT_TRUE(result["metrics"]["lpips"].is_null());
@@ -372,10 +398,10 @@ TEST_F(EvaluateTest, AlphaIsCompositedOnTheScenesBackground) {
     MakeScene(1, 16, 12, 4, background);
     MakeRenders(1, [](int, size_t) { return uint8_t(0); });
     const Json result = Run();
-    const Rgb8Image truth = ReadRgbPng(dir_ / "eval" / "truth" / "000001.png");
-    for (size_t i = 0; i < truth.rgb.size(); ++i) {
+    const std::vector<uint8_t> truth = ToEightBits(ReadImage(dir_ / "eval" / "truth" / "000001.png").rgb);
+    for (size_t i = 0; i < truth.size(); ++i) {
       const double exact = Pixel(1, i / 3 * 4 + i % 3) * 0.2 + behind * 0.8;
-      ASSERT_NEAR(truth.rgb[i], exact, 0.5 + 1e-9);
+      ASSERT_NEAR(truth[i], exact, 0.5 + 1e-9);
     }
     EXPECT_EQ(result["protocol"]["background"], behind == 255 ? "white" : "black");
   }
@@ -423,7 +449,7 @@ TEST_F(EvaluateTest, MissingResizedOrDamagedRenderIsAnInputErrorAndKeepsTheLastR
   MakeRenders(2, good);
   fs::resize_file(dir_ / "render/rgb/000001.png", fs::file_size(dir_ / "render/rgb/000001.png") / 2);
   const fs::path cut = dir_ / "render/rgb/000001.png";
-  EXPECT_THROW(ReadRgbPng(cut), Error);
+  EXPECT_THROW(ReadImage(cut), Error);
   EXPECT_THROW(Run(), Error);
   EXPECT_EQ(ReadJson(dir_ / "eval" / "metrics.json"), before);
 }
@@ -447,6 +473,101 @@ TEST_F(EvaluateTest, LpipsIsMeasuredWhereANetworkIsGivenAndSaysWith) {
   EXPECT_EQ(small["images"][0]["lpips_reason"], "the image is smaller than 32 px");
   EXPECT_TRUE(small["metrics"]["lpips"].is_null());
   EXPECT_EQ(small["metrics"]["lpips_reason"], "every image is smaller than the network can take");
+}
+
+TEST_F(EvaluateTest, PooledAndForegroundFiguresStandBesideTheMeans) {
+  MakeScene(2, 16, 12, 4, Background::kWhite);  // alpha is a fifth everywhere: no foreground
+  MakeRenders(2, [](int v, size_t i) { return uint8_t(std::lround(Pixel(v, i / 3 * 4 + i % 3) * 0.2 + 204) - v); });
+  const Json variants = Run()["metrics"]["variants"];
+  EXPECT_NEAR(variants["psnr_pooled"], 10 * std::log10(255.0 * 255 / 2.5), 1e-9);  // of errors 1 and 2: mean square 2.5
+  EXPECT_NEAR(variants["psnr_quantised"], 20 * std::log10(255.0) - 5 * std::log10(4.0), 1e-9);
+  EXPECT_TRUE(variants["psnr_foreground"].is_null());
+}
+
+// Two folders of images whose values are given by functions of the index.
+class CompareTest : public EvaluateTest {
+ protected:
+  using Value = double (*)(size_t);
+  void Write(const std::string& path, int channels, int bits, const Value& value) {
+    fs::create_directories((dir_ / path).parent_path());
+    const OIIO::ImageSpec spec(14, 12, channels, bits == 16 ? OIIO::TypeDesc::UINT16 : OIIO::TypeDesc::UINT8);
+    std::vector<uint16_t> wide(size_t(14) * 12 * channels);
+    for (size_t i = 0; i < wide.size(); ++i) wide[i] = uint16_t(std::lround(value(i) * (bits == 16 ? 65535 : 255)));
+    const std::vector<uint8_t> narrow(wide.begin(), wide.end());
+    auto file = OIIO::ImageOutput::create((dir_ / path).string());
+    ASSERT_TRUE(file && file->open((dir_ / path).string(), spec));
+    ASSERT_TRUE(bits == 16 ? file->write_image(OIIO::TypeDesc::UINT16, wide.data())
+                           : file->write_image(OIIO::TypeDesc::UINT8, narrow.data()));
+    file->close();
+  }
+  Json Compared(const std::string& masks = "", Background background = Background::kWhite) {
+    const Folders folders{dir_ / "truth", dir_ / "rendered", masks.empty() ? fs::path() : dir_ / masks, background};
+    Compare(folders, dir_ / "scores", {}, ChooseLpips(needs::kNoLpips), 2);
+    return ReadJson(dir_ / "scores" / "metrics.json");
+  }
+};
+
+double Grey(size_t) { return 128 / 255.0; }
+double Stripes(size_t i) { return double(i % 42 < 21 ? 128 : 129) / 255; }
+double FinerStripes(size_t i) { return i % 42 < 21 ? 128 / 255.0 : 128 / 255.0 + 0.001; }
+double HalfAlpha(size_t i) { return i % 4 == 3 ? 127.5 / 255 : 1; }
+double Opaque(size_t i) { return i % 4 == 3 ? 1 : 1; }
+double RightHalf(size_t i) { return i % 14 < 7 ? 0 : 1; }
+
+TEST_F(CompareTest, SixteenBitsAreNotRoundedAndTheRoundedFigureIsGivenToo) {
+  Write("truth/a.png", 3, 16, Grey);
+  Write("rendered/a.png", 3, 16, FinerStripes);
+  const Json result = Compared();
+  const double stored = std::lround((128 / 255.0 + 0.001) * 65535) / 65535.0 - 128 / 255.0;
+  EXPECT_NEAR(result["metrics"]["psnr"], -10 * std::log10(stored * stored / 2), 1e-9);
+  EXPECT_EQ(result["protocol"]["bits"], Json({{"truth", 16}, {"rendered", 16}}));
+  EXPECT_EQ(result["protocol"]["quantised"], false);
+  EXPECT_TRUE(result["images"][0]["psnr_quantised"].is_null());  // equal after rounding
+  EXPECT_EQ(result["images"][0]["name"], "a.png");
+  EXPECT_EQ(result["images"][0]["truth"], "../truth/a.png");
+}
+
+TEST_F(CompareTest, AlphaShowsTheBackgroundAndMasksLeaveOutPixels) {
+  Write("truth/a.png", 4, 8, HalfAlpha);  // white at an alpha of 128
+  Write("rendered/a.png", 4, 8, Opaque);
+  EXPECT_EQ(Compared()["images"][0]["identical"], true);
+  const Json black = Compared("", Background::kBlack);
+  EXPECT_NEAR(black["metrics"]["psnr"], 20 * std::log10(255 / 127.0), 1e-9);
+  EXPECT_EQ(black["protocol"]["background"], "black");
+  EXPECT_NEAR(black["metrics"]["variants"]["psnr_foreground"], 20 * std::log10(255 / 127.0), 1e-9);
+
+  Write("truth/a.png", 3, 8, Grey);
+  Write("rendered/a.png", 3, 8, Stripes);  // the right half is one level off
+  Write("masks/a.png", 1, 8, RightHalf);
+  EXPECT_NEAR(Compared()["metrics"]["psnr"], 20 * std::log10(255.0) + 10 * std::log10(2.0), 1e-9);
+  const Json masked = Compared("masks");
+  EXPECT_NEAR(masked["metrics"]["psnr"], 20 * std::log10(255.0), 1e-9);
+  EXPECT_EQ(masked["protocol"]["masked"], true);
+}
+
+TEST_F(CompareTest, WhatDoesNotPairIsAnInputErrorThatNamesIt) {
+  const auto expect_error = [&](const std::string& named, const std::string& masks = "") {
+    try {
+      Compared(masks);
+      ADD_FAILURE() << "accepted; expected an error about " << named;
+    } catch (const Error& error) {
+      EXPECT_EQ(error.code(), ExitCode::kInput);
+      EXPECT_NE(std::string(error.what()).find(named), std::string::npos) << error.what();
+    }
+  };
+  expect_error("truth is no folder");
+  Write("truth/a.png", 3, 8, Grey);
+  fs::create_directories(dir_ / "rendered");
+  expect_error("holds no images");
+  Write("rendered/b.png", 3, 8, Grey);
+  expect_error("b.png has no image of that name");
+  fs::rename(dir_ / "rendered/b.png", dir_ / "rendered/a.png");
+  Write("masks/a.png", 1, 8, [](size_t) { return 0.0; });
+  expect_error("black all over", "masks");
+  WriteRgbPng(dir_ / "rendered/a.png", 3, 2, std::vector<uint8_t>(18));
+  expect_error("3×2");
+  Write("rendered/a.tif", 3, 8, Grey);
+  expect_error("extensions alone");
 }
 
 TEST_F(EvaluateTest, SameInputGivesTheSameBytes) {
