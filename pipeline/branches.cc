@@ -17,8 +17,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr char kDefaultFolder[] = "work";
-
 std::string CheckStage(const std::string& text) {
   const auto& names = StageNames();
   if (std::find(names.begin(), names.end(), text) != names.end()) return {};
@@ -54,6 +52,10 @@ std::string CheckSettings(const std::string& text) {
 
 std::string CheckImageSize(const std::string& text) { return CheckRange(text, kLeastMaxImageSize, kMostMaxImageSize); }
 
+std::string CheckBitDepth(const std::string& text) {
+  return text == "8" || text == "16" ? "" : "'" + text + "' is no bit depth; give 8 or 16";
+}
+
 std::string CheckThreads(const std::string& text) { return CheckRange(text, 1, kMostThreads); }
 
 std::string CheckFeature(const std::string& text) {
@@ -87,6 +89,7 @@ Params GivenOptions(const BranchOptions& options) {
   add("seed", options.seed);
   add("device", options.device);
   add("max-image-size", options.max_image_size);
+  add("bit-depth", options.bit_depth);
   add("lpips", options.lpips.empty() || options.lpips == needs::kNoLpips
                    ? options.lpips
                    : fs::absolute(options.lpips).lexically_normal().string());
@@ -94,6 +97,7 @@ Params GivenOptions(const BranchOptions& options) {
     const double seconds = ParseDuration(options.budget, "--budget");
     add("budget", std::to_string(std::llround(seconds)) + "s");
   }
+  params.insert(options.defaults.begin(), options.defaults.end());
   return params;
 }
 
@@ -123,14 +127,22 @@ fs::path Folder(const std::string& given) {
 
 }  // namespace
 
+void AddTargetOption(CLI::App& command, BranchOptions& options) {
+  command.add_option("CAPTURE", options.targets, "Folder of photos, posed capture, or a workspace")
+      ->required()
+      ->type_name("");
+}
+
 void AddBranchOptions(CLI::App& command, BranchOptions& options) {
   const auto add = [&](const char* names, std::string& value, const char* type, const std::string& text) {
     return command.add_option(names, value, text)->type_name(type);
   };
-  command.add_option("CAPTURE", options.targets, "Folder of photos, posed capture, or a workspace")
-      ->required()
-      ->type_name("");
-  add("--workspace,-w", options.workspace, "DIR", "Where everything goes (default: work/NAME)");
+  const auto default_of = [&](const char* name, int otherwise) {
+    const auto found = options.defaults.find(name);
+    return found == options.defaults.end() ? std::to_string(otherwise) : found->second;
+  };
+  add("--workspace,-w", options.workspace, "DIR",
+      "Where everything goes (default: " + options.folder + (options.in_folder ? ")" : "/NAME)"));
   add("--preset", options.preset, "NAME", "paper, small or tiny (default: by the budget)");
   add("--set", options.set, "SETTINGS", "Changes of the preset, as 'field.levels=10'")->check(CheckSettings);
   auto* budget = add("--budget", options.budget, "TIME", "Train the best model in this time: 90s, 10m, 1h");
@@ -138,8 +150,9 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options) {
       [](const std::string& text) { return std::string(text.empty() ? "give a time, as 90s, 10m, 1h" : ""); });
   add("--steps", options.steps, "N", "Training steps; not with --budget")->check(CheckPositive)->excludes(budget);
   add("--max-image-size", options.max_image_size, "PX",
-      "Shrink photos to this side (default: " + std::to_string(kMaxImageSize) + ")")
+      "Shrink photos to this side (default: " + default_of("max-image-size", kMaxImageSize) + ")")
       ->check(CheckImageSize);
+  add("--bit-depth", options.bit_depth, "N", "Of rendered colours: 8 or 16 (default: " + default_of("bit-depth", 8) + ")")->check(CheckBitDepth);
   const auto add_forced = [&](const char* name, std::vector<std::string>& features, const char* text) {
     command.add_option(name, features, text)
         ->type_name("FEATURE")
@@ -169,8 +182,8 @@ std::vector<BranchRequest> MakeBranches(const BranchOptions& options) {
     throw UsageError("--from " + from + " comes after --until " + options.until + ": nothing would run");
   }
   const Params given = GivenOptions(options);
-  const bool one = options.targets.size() == 1;
-  const fs::path folder = options.workspace.empty() ? fs::path(kDefaultFolder) : Folder(options.workspace);
+  const bool one = options.targets.size() == 1 && !options.in_folder;
+  const fs::path folder = options.workspace.empty() ? fs::path(options.folder) : Folder(options.workspace);
   if (!one && Workspace(folder).Exists()) {
     throw UsageError(EscapePath(folder) + " is the workspace of one capture: give a folder that can hold several");
   }

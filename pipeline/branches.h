@@ -16,10 +16,16 @@ namespace nrff {
 // The options of `nrff run` and `nrff plan` that say what is to be made.
 struct BranchOptions {
   std::vector<std::string> targets;  // captures or workspaces
-  std::string workspace, budget, preset, set, steps, max_image_size, lpips, device, threads, seed, from, until;
+  std::string workspace, budget, preset, set, steps, max_image_size, bit_depth, lpips, device, threads, seed, from;
+  std::string until;
   std::vector<std::string> need, leave_out;  // features whose decision is forced
   bool force = false;
+  // Of the command, not given on its line.
+  bool in_folder = false;  // `workspace` holds the workspaces, even where there is one
+  std::string folder = "work";
+  Params defaults = {};  // what stages are told where nothing else is given
 };
+void AddTargetOption(CLI::App& command, BranchOptions& options);
 void AddBranchOptions(CLI::App& command, BranchOptions& options);
 // A line for the foot of their help.
 inline constexpr char kFeaturesHelp[] =

@@ -22,6 +22,7 @@ Command AddStatusCommand(CLI::App& app);
 Command AddRenderCommand(CLI::App& app);
 Command AddEvalCommand(CLI::App& app);
 Command AddReportCommand(CLI::App& app);
+Command AddBenchmarkCommand(CLI::App& app);
 
 // What every sub-command shares.
 struct OutputOptions {

@@ -19,35 +19,9 @@ namespace fs = std::filesystem;
 
 constexpr char kJointReport[] = "report/report.html";
 
-bool HasCompleteReport(const Workspace& workspace) {
-  RealDisk disk;
-  const ArtifactState report = disk.ReadArtifact(workspace.Artifact("report"));
-  return report.manifest && report.manifest->facts.value("status", "") == "complete";
-}
-
-// A capture that failed gets a report with the diagnosis, unless a complete one would be lost.
-void ReportFailures(const std::vector<BranchResult>& results) {
-  for (const BranchResult& result : results) {
-    const Workspace& workspace = result.request.workspace;
-    if (result.FirstFailed() != nullptr && !HasCompleteReport(workspace)) WriteReport(workspace.root());
-  }
-}
-
 void Run(const BranchOptions& branch, bool dry_run, const OutputOptions& output) {
   const std::vector<BranchRequest> requests = MakeBranches(branch);
   if (dry_run) return PlanAndPrint(requests, output.json);
-  {
-    LocalExecutor executor;  // what only training would refuse is refused before an hour of other stages
-    for (const BranchRequest& request : requests) {
-      try {
-        ProbeTraining(executor, request);
-      } catch (const Error& error) {
-        if (requests.size() == 1) throw;
-        throw Error(error.code(), request.name + ": " + error.what());
-      }
-    }
-  }
-
   std::vector<Workspace> workspaces;
   std::vector<fs::path> roots;
   for (const BranchRequest& request : requests) {
@@ -55,17 +29,7 @@ void Run(const BranchOptions& branch, bool dry_run, const OutputOptions& output)
     roots.push_back(request.workspace.root());
   }
   const fs::path folder = CommonFolder(workspaces);
-  const Machine machine = ThisMachine();
-  std::vector<WorkspaceLock> locks;
-  std::vector<Node> nodes;
-  for (const BranchRequest& request : requests) {
-    request.workspace.Claim(request.capture);
-    locks.emplace_back(request.workspace);
-    request.workspace.WriteMarker({request.capture, request.options});
-    nodes.push_back(FirstNode(request, machine));
-  }
-  const std::vector<BranchResult> results = RunBranches(requests, std::move(nodes), machine, output.verbosity());
-  ReportFailures(results);
+  const std::vector<BranchResult> results = RunRequests(requests, output.verbosity());
   const bool joint = results.size() > 1 && branch.until.empty();
   const fs::path joint_report = folder / kJointReport;
   if (joint) WriteJointReport(folder, roots);
@@ -147,6 +111,7 @@ Command AddRunCommand(CLI::App& app) {
   };
   auto options = std::make_shared<Options>();
   CLI::App* command = app.add_subcommand("run", "Photos to a model and a scored report");
+  AddTargetOption(*command, options->branch);
   AddBranchOptions(*command, options->branch);
   command->add_flag("--dry-run", options->dry_run, "Say what would run, as `nrff plan`");
   AddVerbosityOptions(*command, options->output);

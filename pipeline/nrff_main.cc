@@ -14,7 +14,8 @@ int main(int argc, char** argv) {
   app.require_subcommand(0, 1);
   app.footer("Example: nrff run photos/\nHelp on one: nrff run --help");
   const std::array commands = {nrff::AddRunCommand(app),    nrff::AddPlanCommand(app), nrff::AddStatusCommand(app),
-                               nrff::AddRenderCommand(app), nrff::AddEvalCommand(app), nrff::AddReportCommand(app)};
+                               nrff::AddRenderCommand(app), nrff::AddEvalCommand(app), nrff::AddReportCommand(app),
+                               nrff::AddBenchmarkCommand(app)};
   app.allow_extras();  // not inherited by the commands; told of below
   return nrff::StageMain(app, argc, argv, [&] {
     for (const nrff::Command& command : commands) {
@@ -22,6 +23,6 @@ int main(int argc, char** argv) {
     }
     throw nrff::UsageError(
         (argc > 1 ? "'" + nrff::EscapePath(argv[1]) + "' is no command; give " : "give a command: ") +
-        std::string("run, plan, status, render, eval or report (see nrff --help)"));
+        std::string("run, plan, status, render, eval, report or benchmark (see nrff --help)"));
   });
 }

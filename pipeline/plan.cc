@@ -196,6 +196,7 @@ Command AddPlanCommand(CLI::App& app) {
   };
   auto options = std::make_shared<Options>();
   CLI::App* command = app.add_subcommand("plan", "What a run would do, and why");
+  AddTargetOption(*command, options->branch);
   AddBranchOptions(*command, options->branch);
   AddJsonOption(*command, options->output);
   command->footer(kFeaturesHelp + std::string("Example: nrff plan photos/ --preset small"));

@@ -9,6 +9,7 @@
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "pipeline/progress.h"
+#include "pipeline/report.h"
 
 namespace nrff {
 namespace {
@@ -31,6 +32,20 @@ const char* StateText(Outcome::State state) {
 Json Fact(const BranchResult& result, const std::string& stage, const char* key) {
   const BranchResult::Stage* found = result.Find(stage);
   return found != nullptr && found->manifest ? found->manifest->facts.value(key, Json()) : Json();
+}
+
+bool HasCompleteReport(const Workspace& workspace) {
+  RealDisk disk;
+  const ArtifactState report = disk.ReadArtifact(workspace.Artifact("report"));
+  return report.manifest && report.manifest->facts.value("status", "") == "complete";
+}
+
+// A capture that failed gets a report with the diagnosis, unless a complete one would be lost.
+void ReportFailures(const std::vector<BranchResult>& results) {
+  for (const BranchResult& result : results) {
+    const Workspace& workspace = result.request.workspace;
+    if (result.FirstFailed() != nullptr && !HasCompleteReport(workspace)) WriteReport(workspace.root());
+  }
 }
 
 }  // namespace
@@ -76,6 +91,32 @@ std::vector<BranchResult> RunBranches(const std::vector<BranchRequest>& requests
     const bool usable = outcomes[i].state == Outcome::kReused || outcomes[i].state == Outcome::kRan;
     result->stages.push_back({node, outcomes[i], usable ? graph.Artifact(node).manifest : std::nullopt});
   }
+  return results;
+}
+
+std::vector<BranchResult> RunRequests(const std::vector<BranchRequest>& requests, Verbosity verbosity) {
+  {
+    LocalExecutor executor;  // what only training would refuse is refused before an hour of other stages
+    for (const BranchRequest& request : requests) {
+      try {
+        ProbeTraining(executor, request);
+      } catch (const Error& error) {
+        if (requests.size() == 1) throw;
+        throw Error(error.code(), request.name + ": " + error.what());
+      }
+    }
+  }
+  const Machine machine = ThisMachine();
+  std::vector<WorkspaceLock> locks;
+  std::vector<Node> nodes;
+  for (const BranchRequest& request : requests) {
+    request.workspace.Claim(request.capture);
+    locks.emplace_back(request.workspace);
+    request.workspace.WriteMarker({request.capture, request.options});
+    nodes.push_back(FirstNode(request, machine));
+  }
+  const std::vector<BranchResult> results = RunBranches(requests, std::move(nodes), machine, verbosity);
+  ReportFailures(results);
   return results;
 }
 

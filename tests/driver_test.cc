@@ -6,6 +6,7 @@
 
 #include <chrono>
 #include <fstream>
+#include <iterator>
 #include <sstream>
 #include <thread>
 
@@ -15,6 +16,7 @@
 #include "pipeline/files.h"
 #include "pipeline/json.h"
 #include "pipeline/local_executor.h"
+#include "pipeline/manifest.h"
 #include "pipeline/progress_view.h"
 #include "pipeline/workspace.h"
 #include "tests/program.h"
@@ -442,9 +444,10 @@ TEST_F(DriverTest, PathIsEncodedOrKeptAsFramesWithTheWayToGetFfmpeg) {
 }
 
 TEST_F(DriverTest, HelpFitsAScreenAndShowsAnExample) {
-  for (const char* command : {"", "run", "plan", "status", "render", "eval", "report"}) {
-    std::vector<std::string> arguments = {"--help"};
-    if (*command != '\0') arguments.insert(arguments.begin(), command);
+  for (const std::string command : {"", "run", "plan", "status", "render", "eval", "report", "benchmark",
+                                    "benchmark llff", "benchmark nerf-synthetic"}) {
+    std::istringstream words(command + " --help");
+    const std::vector<std::string> arguments{std::istream_iterator<std::string>(words), {}};
     const ProgramResult help = Nrff(arguments);
     EXPECT_EQ(help.exit_code, 0);
     EXPECT_THAT(help.out, HasSubstr("Example: nrff ")) << command;
@@ -453,6 +456,46 @@ TEST_F(DriverTest, HelpFitsAScreenAndShowsAnExample) {
     for (std::string line; std::getline(lines, line); ++n_lines) EXPECT_LE(line.size(), 80u) << line;
     EXPECT_LE(n_lines, 40) << command;
   }
+}
+
+TEST_F(DriverTest, BenchmarkRunsEverySceneAndGoesOnFromWhatIsThere) {
+  for (const char* scene : {"set/Barn", "set/mine"}) {
+    MakeCapture(scene);
+    WriteFileAtomically(root_ / scene / "intrinsics.txt", "1");
+    fs::create_directories(root_ / scene / "pose");
+  }
+  const std::map<std::string, std::string> posed = {{"FAKE_POSED", "1"}};
+  const std::vector<std::string> command = {"benchmark", "tanks-and-temples", Path("set"), "-w", Path("bench")};
+  auto failing = posed;
+  failing["FAKE_FAIL"] = "mine/train";
+  const ProgramResult half = Nrff(command, failing);
+  EXPECT_EQ(half.exit_code, 3);
+  EXPECT_THAT(half.out, HasSubstr("| mine | failed: mine/train was told to fail"));
+  Json table = ReadJson(root_ / "bench/benchmark.json");
+  EXPECT_EQ(table["mean"]["n_scenes"], 1);
+  Ran();
+
+  EXPECT_EQ(Nrff(command, posed).exit_code, 0);
+  EXPECT_THAT(Ran(), ElementsAre("train", "render", "eval"));
+  table = ReadJson(root_ / "bench/benchmark.json");
+  EXPECT_EQ(table["mean"]["psnr"], 21.5);
+  EXPECT_EQ(table["scenes"].size(), 2);
+  EXPECT_EQ(table["options"], Json({{"bit-depth", "16"}, {"max-image-size", "1920"}}));
+  EXPECT_EQ(RequireArtifact(root_ / "bench/Barn/render", "render").params.at("bit-depth"), "16");
+  EXPECT_EQ(RequireArtifact(root_ / "bench/Barn/pose", "pose").params.at("max-image-size"), "1920");
+  EXPECT_TRUE(fs::exists(root_ / "bench/benchmark.html"));
+
+  // One scene gets a folder of its own, too; what is given replaces the data set's own size.
+  const ProgramResult one = Nrff(
+      {"benchmark", "tanks-and-temples", Path("set/mine"), "-w", Path("one"), "--quiet", "--max-image-size", "200"},
+      posed);
+  EXPECT_EQ(one.out + one.err, "");
+  EXPECT_EQ(RequireArtifact(root_ / "one/mine/pose", "pose").params.at("max-image-size"), "200");
+  EXPECT_THAT(Nrff({"benchmark", "llff", Path("set")}).err, HasSubstr("holds no scene of llff"));
+  const ProgramResult dry =
+      Nrff({"benchmark", "tanks-and-temples", Path("set"), "-w", Path("dry"), "--dry-run"}, posed);
+  EXPECT_EQ(dry.exit_code, 0);
+  EXPECT_FALSE(fs::exists(root_ / "dry"));
 }
 
 TEST_F(DriverTest, QuietRunSaysNothing) {

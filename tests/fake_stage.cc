@@ -35,7 +35,7 @@ void Note(const std::string& line) {
 
 const std::set<std::string> kParams = {"preset",       "steps",       "budget",   "seed", "max-image-size",
                                        "undistortion", "contraction", "matching", "set",  "fine-levels",
-                                       "sparse-depth"};
+                                       "sparse-depth", "bit-depth"};
 const std::set<std::string> kInputs = {"ingest", "sfm", "scene", "model", "renders"};
 
 }  // namespace
