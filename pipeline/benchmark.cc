@@ -161,7 +161,7 @@ Json Differences(const DataSet& data_set, const Json& rows, const Json& missing)
 
   const std::string background = ByScene(rows, [](const Json& row) {
     const Json& shown = At(row.at("protocol"), "background");
-    return shown.is_string() ? shown.get<std::string>() : std::string();
+    return shown.is_string() && shown != "none" ? shown.get<std::string>() : std::string();  // none: no alpha
   });
   if (!background.empty() && background != data_set.background) {
     add(fmt::format("Background behind alpha: {}; published: {}.", background, data_set.background));

@@ -1,5 +1,8 @@
-// nrff benchmark: every scene of a data set, and one table beside what was published.
+// nrff benchmark: every scene of a data set, and one table beside what was published; or one scene's error against
+// run time.
+#include <algorithm>
 #include <iostream>
+#include <sstream>
 
 #include "pipeline/benchmark.h"
 #include "pipeline/commands.h"
@@ -7,6 +10,8 @@
 #include "pipeline/files.h"
 #include "pipeline/plan.h"
 #include "pipeline/run.h"
+#include "pipeline/stage.h"
+#include "pipeline/work_precision.h"
 
 namespace nrff {
 namespace {
@@ -43,10 +48,59 @@ void Benchmark(const DataSet& data_set, Options options) {
   ThrowIfFailed(results);
 }
 
+struct PrecisionOptions {
+  std::string workspace, budgets = "15s,30s,1m", seeds = "3", threads;
+  OutputOptions output;
+};
+
+std::vector<double> ParseBudgets(const std::string& text) {
+  std::vector<double> budgets;
+  std::istringstream parts(text);
+  for (std::string part; std::getline(parts, part, ',');) budgets.push_back(ParseDuration(part, "--budgets"));
+  std::sort(budgets.begin(), budgets.end());
+  budgets.erase(std::unique(budgets.begin(), budgets.end()), budgets.end());
+  if (budgets.empty()) throw UsageError("--budgets is empty; give times, as 15s,1m");
+  return budgets;
+}
+
+void WorkPrecision(const PrecisionOptions& options) {
+  const Workspace workspace(options.workspace);
+  const Json result =
+      MeasureWorkPrecision(workspace, {ParseBudgets(options.budgets), std::stoi(options.seeds), options.threads},
+                           options.output.verbosity());
+  if (options.output.json) {
+    PrintJson(result);
+  } else if (!options.output.quiet) {
+    std::cout << WorkPrecisionMarkdown(result)
+              << "\nthe curves: " << EscapePath(workspace.root() / "work-precision/work_precision.html")
+              << ", .md, .json\n";
+  }
+}
+
+Command AddWorkPrecision(CLI::App& command) {
+  auto options = std::make_shared<PrecisionOptions>();
+  CLI::App* kind = command.add_subcommand("work-precision", "One scene's error against run time");
+  kind->add_option("WORKSPACE", options->workspace, "Made by `nrff run`")->required()->type_name("");
+  kind->add_option("--budgets", options->budgets, "Training times (default: 15s,30s,1m)")->type_name("TIMES");
+  kind->add_option("--seeds", options->seeds, "Trainings of each (default: 3)")
+      ->type_name("N")
+      ->check([](const std::string& text) { return CheckRange(text, 1, 100); });
+  kind->add_option("--threads", options->threads, "Threads of one stage (default: all cores)")
+      ->type_name("N")
+      ->check([](const std::string& text) { return CheckRange(text, 1, kMostThreads); });
+  AddVerbosityOptions(*kind, options->output);
+  AddJsonOption(*kind, options->output);
+  kind->footer(
+      "Trains anew for every time and seed on the scene's poses, and renders a few views at\n"
+      "many settings. The same command goes on from what is there.\n"
+      "Example: nrff benchmark work-precision work/castle --budgets 30s,2m");
+  return {kind, [options] { WorkPrecision(*options); }};
+}
+
 }  // namespace
 
 Command AddBenchmarkCommand(CLI::App& app) {
-  CLI::App* command = app.add_subcommand("benchmark", "All scenes of a data set, beside published figures");
+  CLI::App* command = app.add_subcommand("benchmark", "Whole data sets; error against time");
   command->require_subcommand(1);
   command->footer("Example: nrff benchmark tanks-and-temples TanksAndTemple/ --budget 20m");
   std::vector<Command> kinds;
@@ -69,6 +123,7 @@ Command AddBenchmarkCommand(CLI::App& app) {
                  data_set.name + " DIR --budget 20m");
     kinds.push_back({kind, [&data_set, options] { Benchmark(data_set, *options); }});
   }
+  kinds.push_back(AddWorkPrecision(*command));
   return {command, [kinds] {
             for (const Command& kind : kinds) {
               if (kind.app->parsed()) kind.run();

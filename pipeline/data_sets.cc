@@ -41,7 +41,7 @@ std::string Lower(std::string text) {
 const std::vector<DataSet>& DataSets() {
   static const std::vector<DataSet> data_sets = {
       {"tanks-and-temples",
-       "Tanks & Temples, the five objects of NSVF",
+       "Tanks & Temples (NSVF)",
        {"Barn", "Caterpillar", "Family", "Ignatius", "Truck"},
        kNsvfLayout,
        IsNsvfScene,

@@ -1,9 +1,13 @@
-// nrff-render: a scene and a trained model → images of the held-out views, or of a camera path.
+// nrff-render: a scene and a trained model → images of the held-out views, or of a camera path; or the error of a few
+// of them against run time.
+
+#include <ATen/ATen.h>
 
 #include <string>
 #include <vector>
 
 #include "model/checkpoint.h"
+#include "model/ray_batch.h"
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "pipeline/log.h"
@@ -12,6 +16,7 @@
 #include "render/camera_path.h"
 #include "render/compute.h"
 #include "render/view_writer.h"
+#include "render/work_precision.h"
 
 namespace nrff {
 namespace {
@@ -22,6 +27,8 @@ struct Options {
   std::string split = "test";
   PathOptions frames;
   int bits = 8;
+  bool work_precision = false;
+  int n_views = 3;  // of work_precision
   std::string device = "auto";
   int n_threads = 0;
 };
@@ -74,6 +81,46 @@ void Render(const Options& options, const Params& params) {
   artifact.Commit();
 }
 
+// The photo of a view, as training sees it.
+TrueColours PhotoOf(const View& view, const ImagePack& pack, double background) {
+  std::vector<int32_t> pixels;
+  for (int y = 0; y < view.height; ++y) {
+    for (int x = 0; x < view.width; ++x) pixels.insert(pixels.end(), {0, x, y});
+  }
+  const PixelSource source({view}, pack, background);
+  const torch::Tensor target = source.At(at::tensor(pixels, torch::kInt).view({-1, 3})).target.contiguous();
+  const float* values = target.const_data_ptr<float>();
+  return {{values, values + target.numel()}};
+}
+
+void MeasureWorkPrecision(const Options& options, const Params& params) {
+  const int n_threads = SetThreads(options.n_threads);
+  const Manifest scene_manifest = RequireArtifact(options.scene_dir, "pose");
+  const Manifest model_manifest = RequireArtifact(options.model_dir, "train");
+  const Scene scene = LoadScene(options.scene_dir);
+  const ImagePack pack(options.scene_dir);
+  const std::unique_ptr<LoadedModel> model = LoadModel(options.model_dir);
+  const std::vector<View> held_out = CaptureViews(scene, "test");
+  std::vector<View> views;
+  std::vector<TrueColours> photos;
+  const size_t n_views = std::min(held_out.size(), size_t(options.n_views));
+  for (size_t i = 0; i < n_views; ++i) {
+    views.push_back(held_out[i * held_out.size() / n_views]);
+    photos.push_back(PhotoOf(views.back(), pack, model->options.background));
+  }
+  ArtifactWriter artifact(
+      "work-precision", options.out, params,
+      {ArtifactInput(options.scene_dir, scene_manifest), ArtifactInput(options.model_dir, model_manifest)});
+  Json result = RenderingWorkPrecision({*model->field, model->occupancy, model->map, model->options}, views, photos);
+  result["threads"] = n_threads;
+  result["width"] = views.front().width;
+  result["height"] = views.front().height;
+  WriteJson(artifact.dir() / "work_precision.json", {{"rendering", result}, {"quadrature", QuadratureWorkPrecision()}});
+  artifact.facts() = {{"n_views", n_views}, {"threads", n_threads}};
+  artifact.AddOutput("work_precision.json");
+  artifact.Commit();
+}
+
 }  // namespace
 }  // namespace nrff
 
@@ -103,6 +150,18 @@ int main(int argc, char** argv) {
   app.add_option("--bit-depth", options.bits, "of the colours: 8 or 16 (8)")
       ->group(group)
       ->check(CLI::IsMember({8, 16}));
+  auto* work_precision = app.add_flag("--work-precision", options.work_precision,
+                                      "error against time of what rendering leaves out, instead of images")
+                             ->group(group)
+                             ->excludes(path)
+                             ->excludes(split);
+  app.add_option("--views", options.n_views, "held-out views for that (3)")
+      ->group(group)
+      ->needs(work_precision)
+      ->check(CLI::Range(1, 1000));
   nrff::AddVerbosity(app);
-  return nrff::StageMain(app, argc, argv, [&] { nrff::Render(options, nrff::GivenParams(app)); });
+  return nrff::StageMain(app, argc, argv, [&] {
+    const auto run = options.work_precision ? nrff::MeasureWorkPrecision : nrff::Render;
+    run(options, nrff::GivenParams(app));
+  });
 }

@@ -1,7 +1,8 @@
-// nrff-pose estimate | normalise
+// nrff-pose estimate | normalise | compare
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <filesystem>
+#include <iostream>
 #include <map>
 #include <optional>
 #include <string>
@@ -14,6 +15,7 @@
 #include "sfm/capture.h"
 #include "sfm/estimate.h"
 #include "sfm/scene_pack.h"
+#include "sfm/trajectory_errors.h"
 
 namespace {
 
@@ -78,7 +80,36 @@ int main(int argc, char** argv) {
   nrff::AddForcedOption(*normalise, "--contraction", pose.contraction, "on", "off",
                         "Contract what is outside the foreground box");
 
+  CLI::App* compare = app.add_subcommand(
+      "compare",
+      "How far estimated poses are from true ones, after alignment by a robust\nsimilarity, and relative poses "
+      "without. "
+      "Both: a posed capture, a workspace, a\nCOLMAP model, a folder of 4×4 poses, or a Tanks & Temples .log file.\n"
+      "Example: nrff-pose compare --estimated work/fox --truth fox");
+  fs::path estimated, truth, transform, aligned;
+  bool as_json = false;
+  compare->add_option("--estimated", estimated, "Estimated poses")->required();
+  compare->add_option("--truth", truth, "True poses")->required();
+  compare->add_option("--transform", transform, "Moves the true poses first: a 4×4 similarity (trans.txt)");
+  compare->add_option("--aligned", aligned, "Writes the estimated poses in the true frame as .log");
+  compare->add_flag("--json", as_json, "The errors as JSON");
+  nrff::AddVerbosity(*compare);
+
   return nrff::StageMain(app, argc, argv, [&] {
+    if (compare->parsed()) {
+      const nrff::Trajectory poses = nrff::ReadTrajectory(estimated);
+      nrff::Trajectory true_poses = nrff::ReadTrajectory(truth);
+      if (!transform.empty()) true_poses = nrff::Transformed(true_poses, nrff::ReadSimilarity(transform));
+      const nrff::Json errors = nrff::TrajectoryErrors(poses, true_poses);
+      if (!aligned.empty()) {
+        const auto values = errors.at("truth_from_estimated").get<std::vector<double>>();
+        nrff::WriteTrajectoryLog(
+            nrff::Transformed(poses, Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(values.data())),
+            aligned);
+      }
+      std::cout << (as_json ? errors.dump(1) + "\n" : nrff::TrajectoryErrorsText(errors));
+      return;
+    }
     if (estimate->parsed()) {
       estimation.n_threads = common.n_threads;
       nrff::ArtifactWriter artifact("sfm", common.out, nrff::GivenParams(*estimate), {Input(common.ingest, "ingest")},

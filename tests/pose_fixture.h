@@ -27,7 +27,7 @@ inline void WritePng(const Image& image, const std::filesystem::path& file) {
 }
 
 inline std::string Id(int i) {
-  char text[8];
+  char text[16];
   std::snprintf(text, sizeof text, "%06d", i);
   return text;
 }

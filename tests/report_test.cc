@@ -46,7 +46,7 @@ TEST(FillPage, NoTextFromTheDataBecomesMarkup) {
 }
 
 TEST(FillPage, PagesAreSelfContainedAndHaveNoPlaceholderLeft) {
-  for (const char* name : {"report.html", "joint.html", "benchmark.html"}) {
+  for (const char* name : {"report.html", "joint.html", "benchmark.html", "work_precision.html"}) {
     const std::string page = FillPage(name, "title", Json::object());
     for (const char* outside : {"{{", "<link", "src=\"", "https://", "@import", "url("}) {
       EXPECT_THAT(page, Not(HasSubstr(outside))) << name;

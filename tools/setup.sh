@@ -9,7 +9,7 @@ packages=(
   g++ cmake ninja-build ccache python3 python3-pip
   nlohmann-json3-dev libcli11-dev libfmt-dev libxxhash-dev libeigen3-dev libpng-dev zlib1g-dev
   libopencv-core-dev libopencv-imgproc-dev libopencv-calib3d-dev libopencv-dnn-dev
-  libopenimageio-dev libsqlite3-dev
+  libopenimageio-dev libsqlite3-dev libceres-dev
   libgtest-dev libgmock-dev libbenchmark-dev
   # run
   colmap ffmpeg

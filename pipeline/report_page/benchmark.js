@@ -20,13 +20,11 @@ byId("scenes").append(makeTable([
   {label: "PSNR (dB)", number: true, value: (scene) => scene.psnr, cell: (scene) => format.psnr(scene.psnr)},
   {label: "SSIM", number: true, value: (scene) => scene.ssim, cell: (scene) => format.ssim(scene.ssim)},
   {label: "LPIPS", number: true, value: (scene) => scene.lpips, cell: (scene) => lpips(scene.lpips)},
-  {label: "Images", number: true, value: (scene) => scene.n_images, cell: (scene) => format.count(scene.n_images)},
   {label: "px", number: true, value: (scene) => scene.width, cell: size},
   {label: "Training", number: true, value: (scene) => scene.training_seconds, cell: (scene) => format.seconds(scene.training_seconds)},
   {label: "Steps", number: true, value: (scene) => scene.steps, cell: (scene) => format.count(scene.steps)},
   {label: "Per view", number: true, value: (scene) => scene.seconds_per_view, cell: (scene) => (isNumber(scene.seconds_per_view) ? `${scene.seconds_per_view.toPrecision(2)} s` : DASH)},
   {label: "Memory", number: true, value: (scene) => scene.peak_memory_bytes, cell: (scene) => format.bytes(scene.peak_memory_bytes)},
-  {label: "Model", number: true, value: (scene) => scene.model_bytes, cell: (scene) => format.bytes(scene.model_bytes)},
 ], scenes, {stack: true}).element);
 
 const everyScene = missing.length === 0 && scenes.every((scene) => scene.published && isNumber(scene.psnr));

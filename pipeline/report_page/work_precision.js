@@ -1,0 +1,55 @@
+// Training by budget, rendering by setting, quadrature by samples.
+const {training, rendering, quadrature} = DATA;
+byId("lead").textContent = [`nrff ${DATA.version}`, DATA.host?.cpu, DATA.date].filter(Boolean).join(" · ");
+const seeds = training.seeds === 1 ? "one seed" : `${training.seeds} seeds`;
+byId("training-hint").textContent = `Held-out figures after so many seconds of training alone, evaluation not counted; ${seeds}, the band from the least to the most.`;
+
+const reached = training.bands.filter((band) => band.psnr && band.seconds);
+const trainingPlot = (key, title, y, digits, linear, error) => {
+  const points = reached.filter((band) => band[key]).map((band) => ({
+    x: band.seconds.mean, y: error(band[key].mean), low: Math.min(error(band[key].least), error(band[key].most)),
+    high: Math.max(error(band[key].least), error(band[key].most)),
+    label: [[title, band[key].mean.toFixed(digits)], ["training", format.seconds(band.seconds.mean)], ["steps", format.count(Math.round(band.steps.mean))]]}));
+  return points.length > 0 ? makeLogPlot([{name: title, points}], {title, x: "training time (s)", y, linear}) : null;
+};
+byId("training-plots").append(...[
+  trainingPlot("psnr", "PSNR", "dB", 2, true, (value) => value),
+  trainingPlot("ssim", "1 − SSIM", "", 4, false, (value) => 1 - value),
+  trainingPlot("lpips", "LPIPS", "", 4, false, (value) => value)].filter(Boolean));
+const band = (value, show) => (!value ? DASH : value.least === value.most ? show(value.mean) : `${show(value.mean)} (${show(value.least)} to ${show(value.most)})`);
+byId("training-table").append(makeTable([
+  {label: "Training", number: true, value: (row) => row.budget_seconds, cell: (row) => format.seconds(row.seconds?.mean)},
+  {label: "PSNR (dB)", number: true, value: (row) => row.psnr?.mean, cell: (row) => band(row.psnr, format.psnr)},
+  {label: "SSIM", number: true, value: (row) => row.ssim?.mean, cell: (row) => band(row.ssim, format.ssim)},
+  {label: "LPIPS", number: true, value: (row) => row.lpips?.mean, cell: (row) => band(row.lpips, format.ssim)},
+  {label: "Steps", number: true, value: (row) => row.steps?.mean, cell: (row) => format.count(Math.round(row.steps?.mean))},
+  {label: "Density evaluations", number: true, value: (row) => row.samples?.mean, cell: (row) => format.large(Math.round(row.samples?.mean))},
+], training.bands, {stack: true}).element);
+const marks = training.time_to.filter((mark) => isNumber(mark.seconds)).map((mark) => `${mark.psnr} dB: ${format.seconds(mark.seconds)}`);
+byId("training-table").append(el("p", {className: "hint"}, marks.length > 0 ? `Shortest of these trainings that reaches ${marks.join(", ")}.` : ""));
+
+byId("rendering-hint").textContent = `${rendering.n_views} held-out views of ${rendering.width} × ${rendering.height} px, ${rendering.threads} threads. `
+  + "One setting is varied, nothing else is left out. The large point is what nrff-render uses. The step's error is told from an eighth of the training's step, the others' from the same step with every sample shaded. A point without error lies on the lower edge.";
+const setting = (family, point) => (family.family === "colour tolerance" && point.value > 0 ? `${Number((point.value * 255).toPrecision(2))}/255` : shortNumber(point.value));
+const floor = 1e-7;
+byId("rendering-plots").append(...rendering.families.map((family) => makeLogPlot([{name: family.family,
+  points: family.points.map((point) => ({x: point.seconds, y: Math.max(point.rmse, floor), chosen: point.chosen,
+    label: [[family.family, setting(family, point)], ["rms error", shortNumber(point.rmse)], ["a view", `${point.seconds.toPrecision(2)} s`],
+      ["to the photos", `${format.psnr(point.psnr)} dB`]]}))}],
+{title: `${family.family[0].toUpperCase()}${family.family.slice(1)}: ${family.meaning}`, x: "seconds a view", y: "rms error of RGB"})));
+const rows = rendering.families.flatMap((family) => family.points.map((point) => ({family, point})));
+byId("rendering-table").append(makeTable([
+  {label: "Setting", value: ({family}) => family.family, cell: ({family, point}) => (point.chosen ? el("strong", {}, family.family) : family.family)},
+  {label: "Value", number: true, value: ({point}) => point.value, cell: ({family, point}) => (point.chosen ? el("strong", {}, setting(family, point)) : setting(family, point))},
+  {label: "Seconds a view", number: true, value: ({point}) => point.seconds, cell: ({point}) => point.seconds.toPrecision(3)},
+  {label: "rms error", number: true, value: ({point}) => point.rmse, cell: ({point}) => shortNumber(point.rmse)},
+  {label: "Largest", number: true, value: ({point}) => point.most, cell: ({point}) => shortNumber(point.most)},
+  {label: "Samples a ray", number: true, value: ({point}) => point.samples_per_ray, cell: ({point}) => format.fixed(point.samples_per_ray, 1)},
+  {label: "Shaded", number: true, value: ({point}) => point.shaded_per_ray, cell: ({point}) => format.fixed(point.shaded_per_ray, 2)},
+  {label: "PSNR (dB)", number: true, value: ({point}) => point.psnr, cell: ({point}) => format.psnr(point.psnr)},
+], rows, {long: true}).element);
+
+byId("quadrature-plots").append(makeLogPlot(quadrature.map((density) => ({name: density.density,
+  points: density.points.map((point) => ({x: point.n_samples, y: Math.max(point.error, 1e-10),
+    label: [[density.density, `${point.n_samples} samples`], ["error", shortNumber(point.error)], ["a ray", `${(point.seconds * 1e6).toPrecision(2)} µs`]]}))})),
+{title: "Transmittance behind the ray", x: "samples a ray", y: "|T − closed form|"}));

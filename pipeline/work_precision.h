@@ -1,0 +1,38 @@
+// Error against run time of one scene: what more training time buys, and what rendering loses by being fast.
+//
+//   work_precision.json  (schema 1)
+//     name
+//     training   {budgets: [s], seeds, preset: by budget
+//                 runs [{budget_seconds, seed, workspace, seconds, seconds_evaluating, steps, samples, preset, psnr,
+//                        ssim, lpips}]: seconds of training alone; figures of all held-out views
+//                 bands [{budget_seconds, seconds, samples, psnr, ssim, lpips: {mean, least, most} or null}]
+//                 time_to [{psnr, seconds: the shortest measured training whose mean reaches it, or null}]}
+//     rendering, quadrature: as render/work_precision.h says
+//     host, version, date (UTC)
+//   work_precision.md, work_precision.html  the same for people
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "pipeline/branches.h"
+#include "pipeline/json.h"
+#include "pipeline/log.h"
+
+namespace nrff {
+
+struct WorkPrecisionOptions {
+  std::vector<double> budgets = {15, 30, 60};  // s
+  int n_seeds = 3;
+  std::string threads;  // as given, or empty
+};
+
+// Trains the scene of the workspace once for every budget and seed, in workspaces of their own in
+// `workspace`/work-precision that share its poses, and measures rendering on its model. What is there and not stale is
+// kept. Writes the three files there. Throws what a stage failed with, InputError where pose or train is not made.
+Json MeasureWorkPrecision(const Workspace& workspace, const WorkPrecisionOptions& options, Verbosity verbosity);
+
+std::string WorkPrecisionMarkdown(const Json& result);
+
+}  // namespace nrff

@@ -1,0 +1,259 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cstdlib>
+#include <random>
+
+#include "pipeline/error.h"
+#include "pipeline/files.h"
+#include "sfm/colmap_model.h"
+#include "sfm/trajectory_errors.h"
+#include "tests/temporary_directory.h"
+
+namespace nrff {
+namespace {
+
+namespace fs = std::filesystem;
+using testing::HasSubstr;
+
+Eigen::Vector3d RandomVector(std::mt19937& random) {
+  std::normal_distribution<double> normal;
+  return {normal(random), normal(random), normal(random)};
+}
+
+Eigen::Quaterniond RandomRotation(std::mt19937& random) {
+  std::normal_distribution<double> normal;
+  return Eigen::Quaterniond(normal(random), normal(random), normal(random), normal(random)).normalized();
+}
+
+Trajectory Random(int n, unsigned seed) {
+  std::mt19937 random(seed);
+  Trajectory trajectory;
+  for (int i = 0; i < n; ++i) {
+    trajectory.push_back({"photo" + std::to_string(1000 + i), RandomRotation(random), RandomVector(random)});
+  }
+  return trajectory;
+}
+
+Eigen::Matrix4d SimilarityOf(double scale, const Eigen::Quaterniond& rotation, const Eigen::Vector3d& translation) {
+  Eigen::Matrix4d matrix = Eigen::Matrix4d::Identity();
+  matrix.topLeftCorner<3, 3>() = scale * rotation.toRotationMatrix();
+  matrix.topRightCorner<3, 1>() = translation;
+  return matrix;
+}
+
+Eigen::Matrix4d Align(const Trajectory& estimated, const Trajectory& truth) {
+  return AlignTrajectories(estimated, truth, MatchPoses(estimated, truth));
+}
+
+TEST(Alignment, FindsTheSimilarityWhateverItsScaleAndOrigin) {
+  std::mt19937 random(3);
+  for (const double scale : {1e-6, 0.3, 1.0, 1e6}) {
+    for (const double offset : {0.0, 1e3}) {
+      for (const int n : {3, 4, 40}) {
+        const Trajectory truth = Random(n, unsigned(n));
+        const Eigen::Matrix4d similarity =
+            SimilarityOf(scale, RandomRotation(random), scale * offset * RandomVector(random));
+        const Eigen::Matrix4d found = Align(Transformed(truth, similarity), truth);
+        // The centres lost log10(offset) of their sixteen digits.
+        EXPECT_LT((found * similarity - Eigen::Matrix4d::Identity()).norm(), 1e-12 * (10 + offset) * (1 + offset))
+            << scale << " " << offset << " " << n;
+      }
+    }
+  }
+}
+
+TEST(Alignment, WrongPosesDoNotPullTheOthersAlong) {
+  const Trajectory truth = Random(50, 4);
+  std::mt19937 random(5);
+  const Eigen::Matrix4d similarity = SimilarityOf(2, RandomRotation(random), RandomVector(random));
+  Trajectory estimated = Transformed(truth, similarity);
+  for (int i = 0; i < 20; ++i) {  // two of five
+    estimated[i].center = 10 * RandomVector(random);
+    estimated[i].rotation = RandomRotation(random);
+  }
+  for (int i = 20; i < 50; ++i) estimated[i].center += 1e-6 * RandomVector(random);
+  EXPECT_LT((Align(estimated, truth) * similarity - Eigen::Matrix4d::Identity()).norm(), 3e-6);
+}
+
+TEST(Alignment, OnALineTheCamerasRotationsDecide) {
+  Trajectory truth = Random(12, 6);
+  for (size_t i = 0; i < truth.size(); ++i) truth[i].center = double(i * i) * Eigen::Vector3d(1, 2, -1);
+  std::mt19937 random(7);
+  const Eigen::Matrix4d similarity = SimilarityOf(0.5, RandomRotation(random), RandomVector(random));
+  const Eigen::Matrix4d found = Align(Transformed(truth, similarity), truth);
+  // Angles to 1e-9, times how far out the centres lie.
+  const double tolerance = 1e-8 * truth.back().center.norm();
+  EXPECT_LT((found * similarity - Eigen::Matrix4d::Identity()).norm(), tolerance);
+  const Trajectory two(truth.begin() + 3, truth.begin() + 5);
+  EXPECT_LT((Align(Transformed(two, similarity), two) * similarity - Eigen::Matrix4d::Identity()).norm(), tolerance);
+}
+
+TEST(Alignment, AMirroredWorldIsNoSimilarityButHasFiniteErrors) {
+  const Trajectory truth = Random(20, 8);
+  Trajectory mirrored = truth;
+  for (TrajectoryPose& pose : mirrored) pose.center.x() *= -1;
+  const Json errors = TrajectoryErrors(mirrored, truth);
+  EXPECT_GT(errors["position"]["median"], 0.1);
+  EXPECT_TRUE(std::isfinite(errors["position"]["max"].get<double>()));
+}
+
+TEST(Alignment, WhatCannotBeAlignedIsAnInputErrorThatSaysWhy) {
+  const auto refusal = [](const Trajectory& estimated, const Trajectory& truth) -> std::string {
+    try {
+      Align(estimated, truth);
+      return "accepted";
+    } catch (const Error& error) {
+      EXPECT_EQ(error.code(), ExitCode::kInput);
+      return error.what();
+    }
+  };
+  const Trajectory truth = Random(5, 9);
+  Trajectory others = Random(4, 9), one_point = truth;
+  for (TrajectoryPose& pose : others) pose.name = "other" + pose.name;
+  for (TrajectoryPose& pose : one_point) pose.center = {1e7, 2, 3};
+  EXPECT_THAT(refusal(others, truth), HasSubstr("Only 0 of 4 estimated poses belong to one of the 5 true ones"));
+  EXPECT_THAT(refusal(one_point, truth), HasSubstr("All estimated camera centres are one point"));
+  EXPECT_THAT(refusal(truth, one_point), HasSubstr("All true camera centres are one point"));
+}
+
+TEST(Matches, AreByNameThenFileNameThenOrder) {
+  const Trajectory truth = Random(6, 10);
+  Trajectory estimated(truth.begin() + 2, truth.end());
+  EXPECT_EQ(MatchPoses(estimated, truth).by, "name");
+  EXPECT_EQ(MatchPoses(estimated, truth).pairs.front(), std::pair(size_t(0), size_t(2)));
+  for (TrajectoryPose& pose : estimated) pose.name = "images/" + pose.name;
+  EXPECT_EQ(MatchPoses(estimated, truth).by, "file name");
+  EXPECT_EQ(MatchPoses(estimated, truth).pairs.size(), 4);
+  for (TrajectoryPose& pose : estimated) pose.name += "x";
+  EXPECT_TRUE(MatchPoses(estimated, truth).pairs.empty());
+  estimated = truth;
+  for (TrajectoryPose& pose : estimated) pose.name += "x";
+  EXPECT_EQ(MatchPoses(estimated, truth).by, "order");
+}
+
+TEST(TrajectoryErrors, HaveTheirClosedForms) {
+  // Every camera turned by 2° about its own axis: alignment of the centres cannot take that away.
+  const Trajectory truth = Random(30, 11);
+  Trajectory estimated = truth;
+  const Eigen::Quaterniond turn(Eigen::AngleAxisd(2 * M_PI / 180, Eigen::Vector3d::UnitZ()));
+  for (TrajectoryPose& pose : estimated) pose.rotation = pose.rotation * turn;
+  Json errors = TrajectoryErrors(estimated, truth);
+  EXPECT_NEAR(errors["rotation_deg"]["median"], 2, 1e-6);
+  EXPECT_NEAR(errors["rotation_deg"]["max"], 2, 1e-6);
+  EXPECT_LT(errors["position"]["max"], 1e-9);
+  EXPECT_NEAR(errors["rotation_deg"]["auc"]["5"], 1 - 2.0 / 5, 1e-6);
+  EXPECT_EQ(errors["rotation_deg"]["auc"]["1"], 0);
+
+  // Images that are missing count in the areas: 20 of 30, 190 of 435 pairs.
+  estimated = Trajectory(truth.begin(), truth.begin() + 20);
+  errors = TrajectoryErrors(estimated, truth);
+  EXPECT_NEAR(errors["rotation_deg"]["auc"]["1"], 20.0 / 30, 1e-6);
+  EXPECT_NEAR(errors["position"]["auc"]["1%"], 20.0 / 30, 1e-6);
+  EXPECT_NEAR(errors["relative_deg"]["auc"]["3"], 190.0 / 435, 1e-6);
+  EXPECT_EQ(errors["n_matched"], 20);
+
+  // Relative poses need no alignment: one wrong pose among 30 is in 29 of 435 pairs.
+  estimated = truth;
+  estimated[7].rotation = estimated[7].rotation * Eigen::Quaterniond(Eigen::AngleAxisd(1, Eigen::Vector3d::UnitX()));
+  errors = TrajectoryErrors(estimated, truth);
+  EXPECT_NEAR(errors["relative_deg"]["auc"]["10"], 1 - 29.0 / 435, 1e-6);
+  EXPECT_THAT(TrajectoryErrorsText(errors), HasSubstr("30 of 30 true ones estimated, matched by name"));
+}
+
+TEST(AreaUnderRecall, IsTheIntegralOfTheCurve) {
+  EXPECT_DOUBLE_EQ(AreaUnderRecall({0, 0}, 5), 1);
+  EXPECT_DOUBLE_EQ(AreaUnderRecall({5, 7, INFINITY}, 5), 0);
+  EXPECT_DOUBLE_EQ(AreaUnderRecall({0, 2.5, 10, INFINITY}, 5), (1 + 0.5) / 4);
+  EXPECT_DOUBLE_EQ(AreaUnderRecall({}, 5), 0);
+}
+
+TEST(TrajectoryFiles, LogsComeBackAsTheyWere) {
+  const TemporaryDirectory directory;
+  const fs::path file = directory.path() / "poses.log";
+  const Trajectory truth = Random(12, 12);
+  WriteTrajectoryLog(truth, file);
+  const Trajectory read = ReadTrajectory(file);
+  ASSERT_EQ(read.size(), truth.size());
+  for (size_t i = 0; i < truth.size(); ++i) {
+    EXPECT_EQ(read[i].center, truth[i].center);
+    EXPECT_LT(read[i].rotation.angularDistance(truth[i].rotation), 1e-15);
+  }
+  EXPECT_EQ(read[11].name, "000011");
+  // Through a COLMAP model, too.
+  ColmapModel model;
+  model.cameras[1] = {1, CameraModel::kSimplePinhole, 10, 10, {5, 5, 5}};
+  for (uint32_t id = 1; id <= truth.size(); ++id) {
+    ColmapImage& image = model.images[id];
+    image.id = id, image.camera_id = 1, image.name = truth[id - 1].name + ".jpg";
+    image.rotation = truth[id - 1].rotation.conjugate();
+    image.translation = -(image.rotation * truth[id - 1].center);
+  }
+  fs::create_directories(directory.path() / "sparse");
+  WriteColmapBinary(model, directory.path() / "sparse");
+  const Json errors = TrajectoryErrors(ReadTrajectory(directory.path() / "sparse"), truth);
+  EXPECT_EQ(errors["n_matched"], 12);
+  EXPECT_LT(errors["position"]["max"], 1e-10);
+  EXPECT_LT(errors["rotation_deg"]["max"], 1e-5);
+}
+
+TEST(TrajectoryFiles, DamagedOnesAreInputErrorsThatNameThePlace) {
+  const TemporaryDirectory directory;
+  const fs::path file = directory.path() / "poses.log";
+  const auto refusal = [&](const std::string& text, auto&& read) -> std::string {
+    WriteFileAtomically(file, text);
+    try {
+      read(file);
+      return "accepted";
+    } catch (const Error& error) {
+      EXPECT_EQ(error.code(), ExitCode::kInput);
+      EXPECT_THAT(error.what(), HasSubstr("poses.log"));
+      return error.what();
+    }
+  };
+  const std::string good = "0 0 0\n1 0 0 4\n0 1 0 5\n0 0 1 6\n0 0 0 1\n";
+  EXPECT_EQ(refusal(good, ReadTrajectory), "accepted");
+  EXPECT_THAT(refusal("", ReadTrajectory), HasSubstr("holds no poses"));
+  EXPECT_THAT(refusal(good + "1 1 0\n1 0 0", ReadTrajectory), HasSubstr("line 7: the file ends"));
+  EXPECT_THAT(refusal("0 0 0\n1 0 nan 4\n", ReadTrajectory), HasSubstr("line 2: found \"nan\""));
+  EXPECT_THAT(refusal("0 0 0\n2 0 0 4\n0 1 0 5\n0 0 1 6\n0 0 0 1\n", ReadTrajectory), HasSubstr("no rotation"));
+  EXPECT_THAT(refusal(good + good, ReadTrajectory), HasSubstr("two poses are called 000000"));
+  EXPECT_THAT(refusal("-1" + good, ReadTrajectory), HasSubstr("whole number"));
+  EXPECT_THAT(refusal("1 0 0 1 0 2 0 1 0 0 1 1 0 0 0 1", ReadSimilarity), HasSubstr("is no similarity"));
+  EXPECT_THAT(refusal("1 0 0 1 0 1 0 1 0 0 -1 1 0 0 0 1", ReadSimilarity), HasSubstr("is no similarity"));
+  EXPECT_THAT(refusal("1 0 0 1", ReadSimilarity), HasSubstr("the file ends"));
+  EXPECT_THROW(ReadTrajectory(directory.path() / "none"), Error);
+}
+
+TEST(TrajectoryFiles, FoldersOfMatricesGetTheNearestRotation) {
+  const TemporaryDirectory directory;
+  fs::create_directories(directory.path() / "pose");
+  const fs::path first = directory.path() / "pose/0_a.txt";
+  WriteFileAtomically(first, "1.01 0 0 4\n0 0.99 0 5\n0 0 1 6\n0 0 0 1\n");
+  WriteFileAtomically(directory.path() / "pose/1_b.txt", "0 -1 0 1\n1 0 0 2\n0 0 1 3\n0 0 0 1\n");
+  const Trajectory read = ReadTrajectory(directory.path() / "pose");
+  ASSERT_EQ(read.size(), 2);
+  EXPECT_EQ(read[0].name, "0_a");
+  EXPECT_LT(read[0].rotation.angularDistance(Eigen::Quaterniond::Identity()), 1e-12);
+  EXPECT_EQ(read[1].center, Eigen::Vector3d(1, 2, 3));
+  WriteFileAtomically(first, "1 0 0 4\n0 1 0 5\n0 0 -1 6\n0 0 0 1\n");
+  EXPECT_THROW(ReadTrajectory(directory.path() / "pose"), Error);
+}
+
+// The trajectory and its transform that Tanks & Temples publishes for Ignatius.
+TEST(TrajectoryFiles, OfTanksAndTemples) {
+  const char* data = std::getenv("NRFF_DATA");
+  if (data == nullptr) GTEST_SKIP() << "NRFF_DATA is not set";
+  const fs::path folder = fs::path(data) / "trajectory/Ignatius";
+  const Trajectory poses = ReadTrajectory(folder / "Ignatius_COLMAP_SfM.log");
+  EXPECT_EQ(poses.size(), 263);
+  const Eigen::Matrix4d transform = ReadSimilarity(folder / "Ignatius_trans.txt");
+  const Json errors = TrajectoryErrors(poses, Transformed(poses, transform));
+  EXPECT_LT(errors["position"]["max"], 1e-9);
+  EXPECT_LT(errors["rotation_deg"]["max"], 1e-5);
+  const auto found = errors["truth_from_estimated"].get<std::vector<double>>();
+  for (int i = 0; i < 16; ++i) EXPECT_NEAR(found[i], transform(i / 4, i % 4), 1e-9) << i;
+}
+
+}  // namespace
+}  // namespace nrff
