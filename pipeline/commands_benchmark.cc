@@ -91,8 +91,8 @@ Command AddWorkPrecision(CLI::App& command) {
   AddVerbosityOptions(*kind, options->output);
   AddJsonOption(*kind, options->output);
   kind->footer(
-      "Trains anew for every time and seed on the scene's poses, and renders a few views at\n"
-      "many settings. The same command goes on from what is there.\n"
+      "Trains anew for every time and seed on the scene's poses, and renders a few views\n"
+      "at many settings. The same command goes on from what is there.\n"
       "Example: nrff benchmark work-precision work/castle --budgets 30s,2m");
   return {kind, [options] { WorkPrecision(*options); }};
 }

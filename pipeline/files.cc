@@ -21,6 +21,8 @@ namespace nrff {
 namespace fs = std::filesystem;
 namespace {
 
+constexpr char kTemporaryMark[] = ".tmp";  // before the process's number
+
 std::string ErrnoText() { return std::strerror(errno); }
 
 // A descriptor that closes itself.
@@ -110,7 +112,7 @@ std::string ReadFile(const fs::path& path) {
 }
 
 void WriteFileAtomically(const fs::path& path, std::string_view bytes) {
-  const fs::path temporary = path.native() + ".tmp" + std::to_string(getpid());
+  const fs::path temporary = path.native() + kTemporaryMark + std::to_string(getpid());
   const auto fail = [&](const char* what) {
     const std::string reason = ErrnoText();
     unlink(temporary.c_str());
@@ -128,6 +130,20 @@ void WriteFileAtomically(const fs::path& path, std::string_view bytes) {
   if (fsync(file.get()) != 0 || !file.Close()) fail("write");
   if (rename(temporary.c_str(), path.c_str()) != 0) fail("rename");
   SyncPath(path.has_parent_path() ? path.parent_path() : fs::path("."));
+}
+
+void RemoveTemporaries(const fs::path& root) {
+  std::vector<fs::path> temporaries;
+  for (const auto& entry : fs::recursive_directory_iterator(root)) {
+    const std::string name = entry.path().filename();
+    const size_t mark = name.rfind(kTemporaryMark);
+    const size_t digits = mark == std::string::npos ? mark : mark + std::strlen(kTemporaryMark);
+    if (mark != std::string::npos && digits < name.size() &&
+        name.find_first_not_of("0123456789", digits) == std::string::npos) {
+      temporaries.push_back(entry.path());
+    }
+  }
+  for (const fs::path& temporary : temporaries) fs::remove(temporary);
 }
 
 void SyncPath(const fs::path& path) {

@@ -16,6 +16,9 @@ std::string ReadFile(const std::filesystem::path& path);
 // old bytes or the new ones. Throws ResourceError (disk full, no permission) naming the file.
 void WriteFileAtomically(const std::filesystem::path& path, std::string_view bytes);
 
+// Removes what WriteFileAtomically leaves below `root` when its process is killed while it writes.
+void RemoveTemporaries(const std::filesystem::path& root);
+
 // Flushes a file's or a directory's own metadata to the disk.
 void SyncPath(const std::filesystem::path& path);
 

@@ -174,7 +174,10 @@ ArtifactWriter::ArtifactWriter(std::string kind, const fs::path& out, Params par
       resumed_ = false;  // an attempt that cannot be identified is not gone on with
     }
   }
-  if (resumed_) return;
+  if (resumed_) {
+    RemoveTemporaries(dir_);  // half-written files of the attempt that was killed are no part of the artifact
+    return;
+  }
   seconds_before_ = 0;
   fs::remove_all(dir_, error);
   fs::create_directories(dir_, error);

@@ -151,6 +151,36 @@ TEST(Artifact, GoesOnFromAnAttemptWithTheSameParamsOnly) {
   EXPECT_FALSE(fs::exists(other.dir() / "checkpoint"));
 }
 
+// Killed while it wrote a picture: its half-written file must not become part of the artifact.
+TEST(Artifact, ThatGoesOnLeavesOutHalfWrittenFiles) {
+  const TemporaryDirectory temporary;
+  const fs::path out = temporary.path() / "render";
+  const auto finish = [&](ArtifactWriter& writer) {
+    WriteFileAtomically(writer.dir() / "rgb" / "2.png", "second");
+    writer.AddOutput("rgb");
+    writer.Commit();
+    return ReadManifest(out)->ContentHash();
+  };
+  const auto begin = [&](ArtifactWriter& writer) {
+    fs::create_directories(writer.dir() / "rgb");
+    WriteFileAtomically(writer.dir() / "rgb" / "1.png", "first");
+    WriteFileAtomically(writer.dir() / "rgb" / "my.tmp.png", "not a temporary file");
+    writer.SaveSeconds();
+  };
+  {
+    ArtifactWriter killed("render", out, {}, {}, ArtifactWriter::kKeepPartial);
+    begin(killed);
+    WriteFileAtomically(killed.dir() / "rgb" / "2.png.tmp12345", "sec");
+  }
+  ArtifactWriter again("render", out, {}, {}, ArtifactWriter::kKeepPartial);
+  ASSERT_TRUE(again.resumed());
+  const std::string resumed = finish(again);
+  fs::remove_all(out);
+  ArtifactWriter undisturbed("render", out, {}, {}, ArtifactWriter::kKeepPartial);
+  begin(undisturbed);
+  EXPECT_EQ(resumed, finish(undisturbed));
+}
+
 TEST(Artifact, ContentHashIgnoresTimesAndLogs) {
   const TemporaryDirectory dir;
   std::string hashes[2];

@@ -445,7 +445,7 @@ TEST_F(DriverTest, PathIsEncodedOrKeptAsFramesWithTheWayToGetFfmpeg) {
 
 TEST_F(DriverTest, HelpFitsAScreenAndShowsAnExample) {
   for (const std::string command : {"", "run", "plan", "status", "render", "eval", "report", "benchmark",
-                                    "benchmark llff", "benchmark nerf-synthetic"}) {
+                                    "benchmark llff", "benchmark nerf-synthetic", "benchmark work-precision"}) {
     std::istringstream words(command + " --help");
     const std::vector<std::string> arguments{std::istream_iterator<std::string>(words), {}};
     const ProgramResult help = Nrff(arguments);
@@ -496,6 +496,40 @@ TEST_F(DriverTest, BenchmarkRunsEverySceneAndGoesOnFromWhatIsThere) {
       Nrff({"benchmark", "tanks-and-temples", Path("set"), "-w", Path("dry"), "--dry-run"}, posed);
   EXPECT_EQ(dry.exit_code, 0);
   EXPECT_FALSE(fs::exists(root_ / "dry"));
+}
+
+TEST_F(DriverTest, WorkPrecisionTrainsEveryBudgetAndSeedOnTheScenesOwnPoses) {
+  const std::map<std::string, std::string> posed = {{"FAKE_POSED", "1"}};
+  RunFox({"--steps", "7"}, posed);
+  Ran();
+  const std::vector<std::string> command = {"benchmark", "work-precision", Path("work"), "--budgets",
+                                            "4s,2s,2s",  "--seeds",        "2"};
+  const ProgramResult result = Nrff(command, posed);
+  EXPECT_EQ(result.exit_code, 0) << result.err;
+  EXPECT_THAT(result.out, HasSubstr("| 2.0 | 21.50 | 0.7500 | – |"));
+  EXPECT_THAT(result.out, HasSubstr("20 dB: 2 s; 22 dB: none"));
+  EXPECT_THAT(result.out, HasSubstr("| step | **1** | 0.100 |"));
+  std::vector<std::string> ran = Ran();
+  EXPECT_EQ(std::count(ran.begin(), ran.end(), "train"), 4);
+  EXPECT_EQ(std::count(ran.begin(), ran.end(), "rendering"), 1);
+  EXPECT_EQ(std::count(ran.begin(), ran.end(), "ingest") + std::count(ran.begin(), ran.end(), "pose"), 0);
+  const Json json = ReadJson(root_ / "work/work-precision/work_precision.json");
+  EXPECT_EQ(json["training"]["bands"].size(), 2);
+  EXPECT_EQ(json["training"]["bands"][1]["seconds"], Json({{"mean", 4}, {"least", 4}, {"most", 4}}));
+  EXPECT_EQ(json["training"]["runs"][3]["workspace"], "4s-seed1");
+  EXPECT_TRUE(fs::exists(root_ / "work/work-precision/work_precision.html"));
+
+  // Nothing is done twice; another budget trains that alone.
+  EXPECT_EQ(Nrff(command, posed).exit_code, 0);
+  EXPECT_THAT(Ran(), IsEmpty());
+  EXPECT_EQ(Nrff({"benchmark", "work-precision", Path("work"), "--budgets", "2s,8s", "--seeds", "1"}, posed).exit_code,
+            0);
+  ran = Ran();
+  EXPECT_EQ(std::count(ran.begin(), ran.end(), "train"), 1);
+
+  EXPECT_EQ(Nrff({"benchmark", "work-precision", Path("fox")}, posed).exit_code, 3);
+  EXPECT_EQ(Nrff({"benchmark", "work-precision", Path("work"), "--budgets", "soon"}, posed).exit_code, 2);
+  EXPECT_EQ(Nrff({"benchmark", "work-precision", Path("work"), "--budgets", ","}, posed).exit_code, 2);
 }
 
 TEST_F(DriverTest, QuietRunSaysNothing) {

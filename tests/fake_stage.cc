@@ -47,7 +47,8 @@ int main(int argc, char** argv) {
     const std::string argument = argv[i];
     if (argument.compare(0, 2, "--") != 0) {
       positional = argument;
-    } else if (argument == "--verbose" || argument == "--quiet" || argument == "--probe") {
+    } else if (argument == "--verbose" || argument == "--quiet" || argument == "--probe" ||
+               argument == "--work-precision") {
       options[argument.substr(2)] = "";
     } else if (i + 1 < argc) {
       options[argument.substr(2)] = argv[++i];
@@ -100,6 +101,7 @@ int main(int argc, char** argv) {
     inputs.push_back({nrff::EscapePath(positional), nrff::HashTree(positional), 0});
     payload += inputs.front().hash + Environment("FAKE_PAYLOAD");
   }
+  if (options.contains("work-precision")) params["work-precision"] = "true";
   nrff::Progress progress("working", 2, "steps");
   progress.Update(1, "half");
   nrff::LogInfo("halfway through " + id);
@@ -111,8 +113,26 @@ int main(int argc, char** argv) {
     nrff::WriteFileAtomically(artifact.dir() / "rgb" / "000000.png", "no picture");
     artifact.AddOutput("rgb");
   }
+  if (options.contains("work-precision")) {
+    const nrff::Json point = {{"value", 1},      {"seconds", 0.1},       {"rmse", 0},           {"most", 0},
+                              {"psnr", nullptr}, {"samples_per_ray", 9}, {"shaded_per_ray", 2}, {"chosen", true}};
+    const nrff::Json family = {{"family", "step"}, {"points", {point}}};
+    const nrff::Json quadrature = {{"density", "linear"}, {"points", {{{"n_samples", 1}, {"error", 0.5}}}}};
+    nrff::WriteJson(artifact.dir() / "work_precision.json", {{"rendering",
+                                                              {{"n_views", 3},
+                                                               {"width", 20},
+                                                               {"height", 10},
+                                                               {"threads", 2},
+                                                               {"reference_seconds", 1.5},
+                                                               {"families", {family}}}},
+                                                             {"quadrature", {quadrature}}});
+    artifact.AddOutput("work_precision.json");
+  }
   artifact.facts() = facts;
   if (stage == "eval") artifact.facts().update({{"psnr", 21.5}, {"ssim", 0.75}});
+  if (stage == "train" && options.contains("budget")) {
+    artifact.facts()["seconds_training"] = std::stod(options["budget"]);
+  }
   if (stage == "pose")
     artifact.AddDecision({"undistortion", false, "largest displacement 0.03 px", "0.1 px", "no lens"});
   artifact.Commit();
