@@ -152,7 +152,9 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options) {
   add("--max-image-size", options.max_image_size, "PX",
       "Shrink photos to this side (default: " + default_of("max-image-size", kMaxImageSize) + ")")
       ->check(CheckImageSize);
-  add("--bit-depth", options.bit_depth, "N", "Of rendered colours: 8 or 16 (default: " + default_of("bit-depth", 8) + ")")->check(CheckBitDepth);
+  add("--bit-depth", options.bit_depth, "N",
+      "Of rendered colours: 8 or 16 (default: " + default_of("bit-depth", 8) + ")")
+      ->check(CheckBitDepth);
   const auto add_forced = [&](const char* name, std::vector<std::string>& features, const char* text) {
     command.add_option(name, features, text)
         ->type_name("FEATURE")
@@ -236,15 +238,11 @@ std::optional<bool> ForcedDecision(const BranchRequest& request, const std::stri
   return {};
 }
 
-namespace {
-
-// The JSON object that a stage's --probe answers with. Throws Error with the stage's own sentence and exit code.
-Json Probe(Executor& executor, std::vector<std::string> command) {
+Json JsonFrom(Executor& executor, std::vector<std::string> command) {
   const std::string program = fs::path(command.front()).filename().string();
   std::string output;
   Job job;
   job.command = std::move(command);
-  job.command.insert(job.command.end(), {"--probe", "--quiet"});
   job.on_line = [&](const std::string& line) {
     if (line.compare(0, 9, "warning: ") != 0) output += line + "\n";
   };
@@ -254,8 +252,16 @@ Json Probe(Executor& executor, std::vector<std::string> command) {
   }
   if (result.exit_code != 0) throw Error(static_cast<ExitCode>(result.exit_code), result.error);
   Json facts = Json::parse(output, nullptr, /*allow_exceptions=*/false);
-  if (!facts.is_object()) throw ExternalToolError(program + " --probe answered with something that is not JSON");
+  if (!facts.is_object()) throw ExternalToolError(program + " answered with something that is not JSON");
   return facts;
+}
+
+namespace {
+
+// The JSON object that a stage's --probe answers with. Throws Error with the stage's own sentence and exit code.
+Json Probe(Executor& executor, std::vector<std::string> command) {
+  command.insert(command.end(), {"--probe", "--quiet"});
+  return JsonFrom(executor, std::move(command));
 }
 
 }  // namespace

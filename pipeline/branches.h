@@ -38,6 +38,9 @@ std::vector<BranchRequest> MakeBranches(const BranchOptions& options);
 // What --need and --leave-out say of a feature; nothing where they do not name it.
 std::optional<bool> ForcedDecision(const BranchRequest& request, const std::string& feature);
 
+// The JSON object that a stage's program prints. Throws Error with the program's own sentence and exit code.
+Json JsonFrom(Executor& executor, std::vector<std::string> command);
+
 // What ingest says of a capture without making anything: {"kind", "posed", "n_images", …}. Throws Error with ingest's
 // own sentence and exit code.
 Json ProbeCapture(Executor& executor, const BranchRequest& request);

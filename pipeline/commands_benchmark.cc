@@ -33,6 +33,7 @@ void Benchmark(const DataSet& data_set, Options options) {
 
   const std::vector<BranchResult> results = RunRequests(requests, options.output.verbosity());
   std::vector<fs::path> roots;
+  roots.reserve(requests.size());
   for (const BranchRequest& request : requests) roots.push_back(request.workspace.root());
   const fs::path folder = branch.workspace.empty() ? branch.folder : branch.workspace;
   const Json table = BenchmarkTable(data_set, folder, roots, requests.front().options);
@@ -50,6 +51,7 @@ void Benchmark(const DataSet& data_set, Options options) {
 
 struct PrecisionOptions {
   std::string workspace, budgets = "15s,30s,1m", seeds = "3", threads;
+  std::vector<std::string> parts = {"training", "rendering", "poses"};
   OutputOptions output;
 };
 
@@ -65,9 +67,9 @@ std::vector<double> ParseBudgets(const std::string& text) {
 
 void WorkPrecision(const PrecisionOptions& options) {
   const Workspace workspace(options.workspace);
-  const Json result =
-      MeasureWorkPrecision(workspace, {ParseBudgets(options.budgets), std::stoi(options.seeds), options.threads},
-                           options.output.verbosity());
+  const Json result = MeasureWorkPrecision(
+      workspace, {ParseBudgets(options.budgets), std::stoi(options.seeds), options.parts, options.threads},
+      options.output.verbosity());
   if (options.output.json) {
     PrintJson(result);
   } else if (!options.output.quiet) {
@@ -85,14 +87,23 @@ Command AddWorkPrecision(CLI::App& command) {
   kind->add_option("--seeds", options->seeds, "Trainings of each (default: 3)")
       ->type_name("N")
       ->check([](const std::string& text) { return CheckRange(text, 1, 100); });
+  kind->add_option("--parts", options->parts, "Of training,rendering,poses (default: all)")
+      ->type_name("PARTS")
+      ->delimiter(',')
+      ->allow_extra_args(false)
+      ->check([](const std::string& text) {
+        const bool known = text == "training" || text == "rendering" || text == "poses";
+        return known ? std::string() : "'" + text + "' is no part; there are training, rendering and poses";
+      });
   kind->add_option("--threads", options->threads, "Threads of one stage (default: all cores)")
       ->type_name("N")
       ->check([](const std::string& text) { return CheckRange(text, 1, kMostThreads); });
   AddVerbosityOptions(*kind, options->output);
   AddJsonOption(*kind, options->output);
   kind->footer(
-      "Trains anew for every time and seed on the scene's poses, and renders a few views\n"
-      "at many settings. The same command goes on from what is there.\n"
+      "Trains anew for every time and seed on the scene's poses, renders a few views at\n"
+      "many settings and, where the capture brings poses, estimates them at several\n"
+      "settings, too. The same command goes on from what is there.\n"
       "Example: nrff benchmark work-precision work/castle --budgets 30s,2m");
   return {kind, [options] { WorkPrecision(*options); }};
 }

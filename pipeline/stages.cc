@@ -31,7 +31,14 @@ struct Stage {
 const std::vector<Stage>& Table() {
   static const std::vector<Stage> table = {
       {"ingest", "nrff-ingest", "", {}, {}, {}, false, 512 * kMebibyte},
-      {"sfm", "nrff-pose", "estimate", {{"--ingest", "ingest"}}, {"seed", "matching"}, {}, true, 2048 * kMebibyte},
+      {"sfm",
+       "nrff-pose",
+       "estimate",
+       {{"--ingest", "ingest"}},
+       {"seed", "matching", "sfm-image-size", "sfm-features"},
+       {},
+       true,
+       2048 * kMebibyte},
       {"pose",
        "nrff-pose",
        "normalise",

@@ -159,15 +159,86 @@ Json Rendering(const BranchRequest& scene, const WorkPrecisionOptions& options, 
   return ReadJson(scene.workspace.root() / kFolder / kRendering / "work_precision.json");
 }
 
-std::string Figure(const Json& value, const char* format) {
-  return value.is_number() ? fmt::format(fmt::runtime(format), value.get<double>()) : "–";
+// What SfM spends its time on: one is varied, the others are as `nrff run` begins with many photos.
+struct PoseSetting {
+  int image_size = 1000, features = 2048;
+  const char* matching = "sequential";
+};
+constexpr PoseSetting kPoseSettings[] = {{},
+                                         {.image_size = 500},
+                                         {.image_size = 1600},
+                                         {.features = 512},
+                                         {.features = 1024},
+                                         {.features = 4096},
+                                         {.matching = "exhaustive"}};
+
+// The folder that all photos of the capture lie in; empty where they lie in several.
+fs::path PhotoFolder(const Workspace& workspace) {
+  const fs::path file = workspace.Artifact("ingest") / "capture.json";
+  const std::string where = EscapePath(file);
+  const Json capture = ReadJson(file);
+  const fs::path root = UnescapePath(Get<std::string>(capture, "root", where));
+  std::set<fs::path> folders;
+  for (const Json& image : Get<Json>(capture, "images", where)) {
+    folders.insert((root / UnescapePath(Get<std::string>(image, "path", where))).parent_path());
+  }
+  return folders.size() == 1 && *folders.begin() != root ? *folders.begin() : fs::path();
 }
 
-std::string BandText(const Json& band, const char* format) {
-  if (!band.is_object()) return "–";
-  const std::string mean = Figure(band.at("mean"), format);
-  if (band.at("least") == band.at("most")) return mean;
-  return fmt::format("{} ({} to {})", mean, Figure(band.at("least"), format), Figure(band.at("most"), format));
+Json PosePoint(const PoseSetting& setting, const BranchResult& result, const BranchRequest& scene) {
+  const PoseSetting chosen;
+  Json point = {{"image_size", setting.image_size},
+                {"features", setting.features},
+                {"matching", setting.matching},
+                {"chosen", setting.image_size == chosen.image_size && setting.features == chosen.features &&
+                               std::string(setting.matching) == chosen.matching},
+                {"errors", nullptr},
+                {"error", nullptr}};
+  const BranchResult::Stage* failed = result.FirstFailed();
+  if (failed != nullptr) point["error"] = failed->outcome.job.error;
+  const BranchResult::Stage* sfm = result.Find("sfm");
+  const Json facts = sfm != nullptr && sfm->manifest ? sfm->manifest->facts : Json::object();
+  double seconds = 0;
+  for (const char* part : {"seconds_features", "seconds_matching", "seconds_mapping"}) {
+    if (At(facts, part).is_number()) seconds += facts.at(part).get<double>();
+  }
+  point["seconds"] = seconds > 0 ? Json(seconds) : Json();
+  point["n_registered"] = At(facts, "n_registered");
+  point["n_images"] = At(facts, "n_images");
+  if (failed == nullptr) {
+    LocalExecutor executor;
+    point["errors"] =
+        JsonFrom(executor, {(scene.executables / "nrff-pose").string(), "compare", "--json", "--quiet", "--estimated",
+                            result.request.workspace.root().string(), "--truth", scene.workspace.root().string()});
+  }
+  return point;
+}
+
+Json Poses(const BranchRequest& scene, const WorkPrecisionOptions& options, Verbosity verbosity) {
+  const auto nothing = [](const char* reason) { return Json{{"reason", reason}, {"points", Json::array()}}; };
+  if (!Get<bool>(scene.workspace.Require("ingest").facts, "posed", "ingest's manifest")) {
+    return nothing("the capture brings no poses that estimated ones could be compared with");
+  }
+  const fs::path photos = PhotoFolder(scene.workspace);
+  if (photos.empty()) return nothing("the photos do not lie in one folder of their own");
+  std::vector<BranchRequest> requests;
+  requests.reserve(std::size(kPoseSettings));
+  for (const PoseSetting& setting : kPoseSettings) {
+    BranchRequest request = scene;
+    request.name = fmt::format("{}px-{}-{}", setting.image_size, setting.features, setting.matching);
+    request.workspace = Workspace(scene.workspace.root() / kFolder / "poses" / request.name);
+    request.capture = photos;
+    request.threads = options.threads;
+    request.until = "pose";
+    request.options = {{"sfm-image-size", std::to_string(setting.image_size)},
+                       {"sfm-features", std::to_string(setting.features)},
+                       {"matching", setting.matching}};
+    requests.push_back(std::move(request));
+  }
+  const std::vector<BranchResult> results = RunRequests(requests, verbosity);
+  Json points = Json::array();
+  for (size_t i = 0; i < results.size(); ++i) points.push_back(PosePoint(kPoseSettings[i], results[i], scene));
+  return {{"reason", nullptr}, {"points", points}};
 }
 
 }  // namespace
@@ -177,74 +248,27 @@ Json MeasureWorkPrecision(const Workspace& workspace, const WorkPrecisionOptions
   const WorkspaceLock lock(workspace);
   for (const char* stage : {"ingest", "pose", "train"}) workspace.Require(stage);
   const fs::path folder = workspace.root() / kFolder;
-  const Json training = Training(scene, options, verbosity);
-  const Json measured = Rendering(scene, options, verbosity);
+  const auto asked = [&](const char* part) {
+    return std::find(options.parts.begin(), options.parts.end(), part) != options.parts.end();
+  };
+  const Json training = asked("training") ? Training(scene, options, verbosity) : Json();
+  const Json measured = asked("rendering") ? Rendering(scene, options, verbosity) : Json();
+  const Json poses = asked("poses") ? Poses(scene, options, verbosity) : Json();
   const Manifest train = workspace.Require("train");
+  const std::string name = ReadWorkspace(workspace.root()).name;
   const Json result = {{"schema_version", kWorkPrecisionSchemaVersion},
-                       {"name", scene.name},
+                       {"name", name},
                        {"training", training},
-                       {"rendering", measured.at("rendering")},
-                       {"quadrature", measured.at("quadrature")},
+                       {"rendering", At(measured, "rendering")},
+                       {"quadrature", At(measured, "quadrature")},
+                       {"poses", poses},
                        {"host", train.host},
                        {"version", Version()},
                        {"date", fmt::format("{:%Y-%m-%d}", fmt::gmtime(std::time(nullptr)))}};
   WriteJson(folder / "work_precision.json", result);
   WriteFileAtomically(folder / "work_precision.md", WorkPrecisionMarkdown(result));
-  WriteFileAtomically(folder / "work_precision.html", FillPage("work_precision.html", scene.name, result));
+  WriteFileAtomically(folder / "work_precision.html", FillPage("work_precision.html", name, result));
   return result;
-}
-
-std::string WorkPrecisionMarkdown(const Json& result) {
-  const Json& training = result.at("training");
-  std::string text = fmt::format(
-      "# Error against run time: {}\n\nnrff {}, {}, {}. Seconds of training are of training alone; figures are means "
-      "over all held-out views, renders of 16 bits; in brackets the least and the most of {} seeds.\n\n"
-      "| training, s | PSNR, dB | SSIM | LPIPS | steps | density evaluations |\n|---:|---:|---:|---:|---:|---:|\n",
-      result.at("name").get<std::string>(), result.at("version").get<std::string>(),
-      At(result.at("host"), "cpu").is_string() ? At(result.at("host"), "cpu").get<std::string>() : "unknown processor",
-      result.at("date").get<std::string>(), training.at("seeds").get<int>());
-  for (const Json& band : training.at("bands")) {
-    text += fmt::format("| {} | {} | {} | {} | {} | {} |\n", BandText(band.at("seconds"), "{:.1f}"),
-                        BandText(band.at("psnr"), "{:.2f}"), BandText(band.at("ssim"), "{:.4f}"),
-                        BandText(band.at("lpips"), "{:.4f}"), BandText(band.at("steps"), "{:.0f}"),
-                        BandText(band.at("samples"), "{:.2e}"));
-  }
-  text += "\nShortest of these trainings that reaches";
-  for (const Json& mark : training.at("time_to")) {
-    text += fmt::format("{} {:.0f} dB: {}", &mark == &training.at("time_to").front() ? "" : ";",
-                        mark.at("psnr").get<double>(),
-                        mark.at("seconds").is_number() ? Figure(mark.at("seconds"), "{:.0f} s") : "none");
-  }
-  const Json& rendering = result.at("rendering");
-  text += fmt::format(
-      ".\n\n## Rendering\n\n{} held-out views of {} × {} px, {} threads. One setting is varied, nothing else is left "
-      "out. The step's error is told from an eighth of the training's step ({} s a view), the others' from the same "
-      "step with every sample shaded; PSNR is to the photos. Bold: what nrff-render uses.\n\n"
-      "| setting | value | s a view | rms error | largest | samples a ray | shaded | PSNR, dB |\n"
-      "|---|---:|---:|---:|---:|---:|---:|---:|\n",
-      rendering.at("n_views").get<int>(), rendering.at("width").get<int>(), rendering.at("height").get<int>(),
-      rendering.at("threads").get<int>(), Figure(rendering.at("reference_seconds"), "{:.2f}"));
-  for (const Json& family : rendering.at("families")) {
-    for (const Json& point : family.at("points")) {
-      const char* bold = point.at("chosen").get<bool>() ? "**" : "";
-      text += fmt::format("| {} | {}{}{} | {} | {} | {} | {} | {} | {} |\n", family.at("family").get<std::string>(),
-                          bold, Figure(point.at("value"), "{:.3g}"), bold, Figure(point.at("seconds"), "{:.3f}"),
-                          Figure(point.at("rmse"), "{:.2e}"), Figure(point.at("most"), "{:.2e}"),
-                          Figure(point.at("samples_per_ray"), "{:.1f}"), Figure(point.at("shaded_per_ray"), "{:.2f}"),
-                          Figure(point.at("psnr"), "{:.2f}"));
-    }
-  }
-  text += "\n## Transmittance\n\n|T − closed form| by samples a ray, optical thickness 4, float.\n\n| samples |";
-  const Json& quadrature = result.at("quadrature");
-  for (const Json& density : quadrature) text += fmt::format(" {} |", density.at("density").get<std::string>());
-  text += "\n|---:|";
-  for (size_t i = 0; i < quadrature.size(); ++i) text += "---:|";
-  for (size_t i = 0; i < quadrature.at(0).at("points").size(); ++i) {
-    text += fmt::format("\n| {} |", quadrature.at(0).at("points").at(i).at("n_samples").get<int>());
-    for (const Json& density : quadrature)
-      text += fmt::format(" {} |", Figure(density.at("points").at(i).at("error"), "{:.1e}"));
-  }
-  return text + "\n";
 }
 
 }  // namespace nrff

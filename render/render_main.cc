@@ -109,7 +109,7 @@ void MeasureWorkPrecision(const Options& options, const Params& params) {
     photos.push_back(PhotoOf(views.back(), pack, model->options.background));
   }
   ArtifactWriter artifact(
-      "work-precision", options.out, params,
+      "rendering", options.out, params,
       {ArtifactInput(options.scene_dir, scene_manifest), ArtifactInput(options.model_dir, model_manifest)});
   Json result = RenderingWorkPrecision({*model->field, model->occupancy, model->map, model->options}, views, photos);
   result["threads"] = n_threads;

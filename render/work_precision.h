@@ -19,9 +19,10 @@ struct TrueColours {
 
 // {n_views, reference_seconds: a view at the limit,
 //  families [{family, unit, meaning, reference: "limit" | "exact",
-//    points [{value, seconds: a view, rmse, most: of RGB in [0, 1], psnr: to the photos, dB, or null,
+//    points [{value, seconds: a view, least of up to 5 times, rmse, most: of RGB in [0, 1], psnr: to the photos, dB, or
+//    null,
 //             samples_per_ray, shaded_per_ray, chosen: what nrff-render uses}]}]}
-// Points are in order of their time. `truth`: one per view. Shows progress.
+// Points are from coarse to fine. `truth`: one per view. Shows progress.
 Json RenderingWorkPrecision(const RenderSource& source, const std::vector<View>& views,
                             const std::vector<TrueColours>& truth);
 

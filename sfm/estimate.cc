@@ -164,13 +164,19 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
   const fs::path work = artifact.dir() / "work";
   std::vector<Attempt> attempts;
   size_t best = 0;
-  for (const int level : {first_level, first_level + 1}) {
-    const SfmSettings settings = Settings(level, matching.needed, options.seed, options.n_threads);
+  const bool given = options.max_image_size || options.max_features;
+  for (const int level : {given ? 0 : first_level, first_level + 1}) {
+    SfmSettings settings = Settings(level, matching.needed, options.seed, options.n_threads);
+    if (given) {
+      settings.name = "given";
+      settings.max_image_size = options.max_image_size.value_or(settings.max_image_size);
+      settings.max_features = options.max_features.value_or(settings.max_features);
+    }
     attempts.push_back(Reconstruct(capture, settings, colmap, work / settings.name, artifact));
     if (NumRegistered(attempts.back()) > NumRegistered(attempts[best])) best = attempts.size() - 1;
     const size_t n_registered = NumRegistered(attempts[best]);
     LogInfo(std::to_string(n_registered) + " of " + std::to_string(n_images) + " photos registered");
-    if (double(n_registered) >= kEnough * n_images) break;
+    if (given || double(n_registered) >= kEnough * n_images) break;
     if (level == first_level) LogWarning("too few: trying again with larger photos and more features");
   }
 

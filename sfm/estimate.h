@@ -13,6 +13,9 @@ namespace nrff {
 struct EstimateOptions {
   uint64_t seed = 0;
   std::optional<bool> exhaustive;    // matching forced either way
+  // Instead of what is chosen for the capture; then there is no second attempt.
+  std::optional<int> max_image_size;  // px, longer side of the photos that features are found in
+  std::optional<int> max_features;    // per photo
   double stall_limit_seconds = 300;  // the longest COLMAP may neither print nor use the processor
   int n_threads = 1;
 };

@@ -63,6 +63,13 @@ int main(int argc, char** argv) {
   nrff::AddForcedOption(*estimate, "--matching", estimation.exhaustive, "exhaustive", "sequential",
                         "Which pairs of photos are matched");
 
+  estimate->add_option("--sfm-image-size", estimation.max_image_size, "Longer side of the photos for features, px")
+      ->check(CLI::Range(nrff::kLeastMaxImageSize, nrff::kMostMaxImageSize))
+      ->group(nrff::kParameterGroup);
+  estimate->add_option("--sfm-features", estimation.max_features, "Features of a photo at the most")
+      ->check(CLI::Range(16, 1000000))
+      ->group(nrff::kParameterGroup);
+
   CLI::App* normalise = app.add_subcommand("normalise",
                                            "Normalises the poses, undistorts and packs the photos.\nExample: nrff-pose "
                                            "normalise --ingest work/photos/ingest --sfm"

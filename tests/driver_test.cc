@@ -507,7 +507,7 @@ TEST_F(DriverTest, WorkPrecisionTrainsEveryBudgetAndSeedOnTheScenesOwnPoses) {
   const ProgramResult result = Nrff(command, posed);
   EXPECT_EQ(result.exit_code, 0) << result.err;
   EXPECT_THAT(result.out, HasSubstr("| 2.0 | 21.50 | 0.7500 | – |"));
-  EXPECT_THAT(result.out, HasSubstr("20 dB: 2 s; 22 dB: none"));
+  EXPECT_THAT(result.out, HasSubstr("reaches 20 dB: 2 s."));
   EXPECT_THAT(result.out, HasSubstr("| step | **1** | 0.100 |"));
   std::vector<std::string> ran = Ran();
   EXPECT_EQ(std::count(ran.begin(), ran.end(), "train"), 4);
@@ -527,9 +527,33 @@ TEST_F(DriverTest, WorkPrecisionTrainsEveryBudgetAndSeedOnTheScenesOwnPoses) {
   ran = Ran();
   EXPECT_EQ(std::count(ran.begin(), ran.end(), "train"), 1);
 
+  EXPECT_EQ(json["poses"]["reason"], "the photos do not lie in one folder of their own");
+
   EXPECT_EQ(Nrff({"benchmark", "work-precision", Path("fox")}, posed).exit_code, 3);
   EXPECT_EQ(Nrff({"benchmark", "work-precision", Path("work"), "--budgets", "soon"}, posed).exit_code, 2);
   EXPECT_EQ(Nrff({"benchmark", "work-precision", Path("work"), "--budgets", ","}, posed).exit_code, 2);
+}
+
+TEST_F(DriverTest, WorkPrecisionEstimatesPosesThatTheCaptureBringsFromItsPhotosAlone) {
+  fs::create_directories(root_ / "fox/images");
+  const std::map<std::string, std::string> posed = {{"FAKE_POSED", "1"}};
+  RunFox({}, posed);
+  Ran();
+  const std::vector<std::string> command = {"benchmark", "work-precision", Path("work"), "--parts", "poses"};
+  auto failing = posed;
+  failing["FAKE_FAIL"] = "1000px-4096-sequential/sfm";
+  const ProgramResult result = Nrff(command, failing);
+  EXPECT_EQ(result.exit_code, 0) << result.err;
+  const std::vector<std::string> ran = Ran();
+  EXPECT_EQ(std::count(ran.begin(), ran.end(), "sfm"), 7);
+  EXPECT_EQ(std::count(ran.begin(), ran.end(), "train"), 0);
+  EXPECT_THAT(result.out, HasSubstr("| **1000** | **2048** | sequential |"));
+  EXPECT_THAT(result.out, HasSubstr("| 1.000 | 0.500 | 0.750 |"));
+  EXPECT_THAT(result.out, HasSubstr("failed: 1000px-4096-sequential/sfm was told to fail"));
+  const Json poses = ReadJson(root_ / "work/work-precision/work_precision.json")["poses"];
+  EXPECT_EQ(poses["points"].size(), 7);
+  EXPECT_EQ(RequireArtifact(root_ / "work/work-precision/poses/500px-2048-sequential/sfm", "sfm").params,
+            (Params{{"matching", "sequential"}, {"sfm-features", "2048"}, {"sfm-image-size", "500"}}));
 }
 
 TEST_F(DriverTest, QuietRunSaysNothing) {

@@ -33,9 +33,9 @@ void Note(const std::string& line) {
   if (!path.empty()) std::ofstream(path, std::ios::app) << line << std::endl;
 }
 
-const std::set<std::string> kParams = {"preset",       "steps",       "budget",   "seed", "max-image-size",
-                                       "undistortion", "contraction", "matching", "set",  "fine-levels",
-                                       "sparse-depth", "bit-depth"};
+const std::set<std::string> kParams = {"preset",       "steps",       "budget",         "seed",        "max-image-size",
+                                       "undistortion", "contraction", "matching",       "set",         "fine-levels",
+                                       "sparse-depth", "bit-depth",   "sfm-image-size", "sfm-features"};
 const std::set<std::string> kInputs = {"ingest", "sfm", "scene", "model", "renders"};
 
 }  // namespace
@@ -48,13 +48,22 @@ int main(int argc, char** argv) {
     if (argument.compare(0, 2, "--") != 0) {
       positional = argument;
     } else if (argument == "--verbose" || argument == "--quiet" || argument == "--probe" ||
-               argument == "--work-precision") {
+               argument == "--work-precision" || argument == "--json") {
       options[argument.substr(2)] = "";
     } else if (i + 1 < argc) {
       options[argument.substr(2)] = argv[++i];
     }
   }
-  const bool posed = !Environment("FAKE_POSED").empty();
+  if (positional == "compare") {
+    std::cout << nrff::Json({{"position", {{"median", 0.01}}},
+                             {"rotation_deg", {{"median", 0.5}}},
+                             {"relative_deg", {{"auc", {{"5", 0.75}}}}}})
+                     .dump()
+              << std::endl;
+    return 0;
+  }
+  // A folder of photos alone brings no poses.
+  const bool posed = !Environment("FAKE_POSED").empty() && fs::path(positional).filename() != "images";
   nrff::Json facts = {{"posed", posed}, {"kind", "photos"}, {"n_images", 8}};
   if (options.contains("probe") && fs::path(argv[0]).filename() == "nrff-train") {
     if (options["preset"] == "huge") {
@@ -108,6 +117,11 @@ int main(int argc, char** argv) {
   nrff::ArtifactWriter artifact(stage, out, params, inputs);
   nrff::WriteFileAtomically(artifact.dir() / "payload", nrff::HashBytes(payload));
   artifact.AddOutput("payload");
+  if (stage == "ingest") {
+    const std::string photo = fs::exists(fs::path(positional) / "images") ? "images/photo.jpg" : "photo.jpg";
+    nrff::WriteJson(artifact.dir() / "capture.json",
+                    {{"root", nrff::EscapePath(positional)}, {"images", {{{"path", photo}}}}});
+  }
   if (options.contains("path")) {
     fs::create_directories(artifact.dir() / "rgb");
     nrff::WriteFileAtomically(artifact.dir() / "rgb" / "000000.png", "no picture");

@@ -6,13 +6,20 @@ function logTicks(low, high) {
   const factors = last - first <= 2 ? [1, 2, 5] : [1], every = Math.ceil((last - first) / 8);
   const values = [];
   for (let power = first; power <= last; power += every) values.push(...factors.map((factor) => factor * 10 ** power));
-  return values.filter((value) => value >= low * (1 - 1e-9) && value <= high * (1 + 1e-9));
+  const shown = values.filter((value) => value >= low * (1 - 1e-9) && value <= high * (1 + 1e-9));
+  return shown.length >= 2 ? shown : ticks(low, high, 4);
 }
 
-const shortNumber = (value) => (value === 0 ? "0" : value >= 0.01 && value < 1e4 ? String(Number(value.toPrecision(2))) : value.toExponential(0).replace("e", "·10^").replace("+", ""));
+const superscript = (power) => String(power).replace(/[-0-9]/g, (c) => (c === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[Number(c)]));
+// 0.012, 10⁻⁴, 3.5·10⁻⁵
+function shortNumber(value) {
+  if (value === 0 || (value >= 0.01 && value < 1e4)) return String(Number(value.toPrecision(2)));
+  const [digits, power] = value.toExponential(1).split("e");
+  return `${Number(digits) === 1 ? "" : `${Number(digits)}·`}10${superscript(Number(power))}`;
+}
 
 // series: [{name, points: [{x, y, low?, high?, label, chosen?}]}], x and y > 0 unless `linear` is given for y; bands go
-// from low to high. options: {title, x, y: axis texts, linear: whether y is linear}.
+// from low to high. options: {title, x, y: axis texts, linear: whether y is linear, scatter: points without a line}.
 function makeLogPlot(series, options) {
   const points = series.flatMap((one) => one.points);
   const plot = svg("svg", {role: "img", "aria-label": options.title});
@@ -52,7 +59,7 @@ function makeLogPlot(series, options) {
         plot.append(svg("path", {class: `band series-${i}`,
           d: `M${banded.map((point) => at(point, "high")).join("L")}L${[...banded].reverse().map((point) => at(point, "low")).join("L")}Z`}));
       }
-      plot.append(svg("path", {class: `line series-${i}`, d: `M${one.points.map((point) => at(point, "y")).join("L")}`}));
+      if (!options.scatter) plot.append(svg("path", {class: `line series-${i}`, d: `M${one.points.map((point) => at(point, "y")).join("L")}`}));
       for (const point of one.points) {
         plot.append(svg("circle", {class: `point series-${i}${point.chosen ? " chosen" : ""}`, cx: x(point.x), cy: y(point.y), r: point.chosen ? 7 : 3.5}));
       }
