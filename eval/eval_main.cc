@@ -4,8 +4,27 @@
 #include <thread>
 
 #include "eval/evaluate.h"
+#include "eval/work_precision.h"
 #include "pipeline/error.h"
+#include "pipeline/json.h"
+#include "pipeline/manifest.h"
 #include "pipeline/stage.h"
+
+namespace {
+
+void MeasureWorkPrecision(const std::filesystem::path& scene, const std::filesystem::path& renders,
+                          const std::filesystem::path& out, const nrff::Params& params,
+                          const nrff::LpipsChoice& lpips) {
+  const nrff::HeldOutPairs pairs(scene, renders);
+  nrff::ArtifactWriter artifact("scoring", out, params, pairs.inputs());
+  nrff::WriteJson(artifact.dir() / "work_precision.json",
+                  {{"scoring", nrff::ScoringWorkPrecision(pairs, lpips.network.get())}});
+  artifact.AddDecision(lpips.decision);
+  artifact.AddOutput("work_precision.json");
+  artifact.Commit();
+}
+
+}  // namespace
 
 int main(int argc, char** argv) {
   CLI::App app(
@@ -32,6 +51,10 @@ int main(int argc, char** argv) {
       ->needs(truth)
       ->check(CLI::IsMember({"white", "black"}))
       ->group(nrff::kParameterGroup);
+  bool work_precision = false;
+  app.add_flag("--work-precision", work_precision, "Figures and seconds at several image sizes, instead of scores")
+      ->needs(scene_option)
+      ->group(nrff::kParameterGroup);
   std::string lpips = nrff::needs::kNoLpips;
   app.add_option("--lpips", lpips, "LPIPS network (eval/export_lpips.py), or none")
       ->type_name("FILE")
@@ -51,6 +74,8 @@ int main(int argc, char** argv) {
     if (given_folders) {
       folders.background = background == "white" ? nrff::Background::kWhite : nrff::Background::kBlack;
       nrff::Compare(folders, out, params, choice, n_threads);
+    } else if (work_precision) {
+      MeasureWorkPrecision(scene, renders, out, params, choice);
     } else {
       nrff::Evaluate(scene, renders, out, params, choice, n_threads);
     }

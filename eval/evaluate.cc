@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "eval/error_map.h"
+#include "eval/held_out_pairs.h"
 #include "eval/image_file.h"
 #include "pipeline/error.h"
 #include "pipeline/files.h"
@@ -19,25 +20,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr int kRendersSchemaVersion = 1;
 constexpr int kMetricsSchemaVersion = 1;
 constexpr char kNoViewReason[] = "no held-out view was registered, so there is nothing to compare with";
-
-// What alpha is composited on. Where a scene names nothing, black: what a pixel without a colour shows.
-Background BehindAlpha(Background background) {
-  return background == Background::kNone ? Background::kBlack : background;
-}
-
-StoredImage PhotoOf(const View& view, const uint8_t* pixels) {
-  const size_t n_pixels = size_t(view.width) * view.height;
-  StoredImage photo{{view.width, view.height, std::vector<double>(3 * n_pixels)}, {}, 8};
-  if (view.channels == 4) photo.alpha.resize(n_pixels);
-  for (size_t i = 0; i < n_pixels; ++i, pixels += view.channels) {
-    for (size_t c = 0; c < 3; ++c) photo.rgb.rgb[3 * i + c] = pixels[c] / 255.0;
-    if (view.channels == 4) photo.alpha[i] = pixels[3] / 255.0;
-  }
-  return photo;
-}
 
 std::optional<Mask> ForegroundOf(const StoredImage& photo) {
   Mask foreground;
@@ -45,28 +29,6 @@ std::optional<Mask> ForegroundOf(const StoredImage& photo) {
   if (std::count(foreground.begin(), foreground.end(), 1) == 0) return std::nullopt;
   return foreground;
 }
-
-// The 8-bit picture's values.
-RgbImage FromEightBits(int width, int height, const std::vector<uint8_t>& rgb) {
-  RgbImage image{width, height, std::vector<double>(rgb.size())};
-  for (size_t i = 0; i < rgb.size(); ++i) image.rgb[i] = rgb[i] / 255.0;
-  return image;
-}
-
-// Id → path of the rendered image, relative to the render artifact.
-std::map<std::string, std::string> RenderedPaths(const fs::path& renders_dir) {
-  const fs::path file = renders_dir / "renders.json";
-  const std::string where = EscapePath(file);
-  const Json renders = ReadJson(file);
-  CheckSchemaVersion(renders, kRendersSchemaVersion, where);
-  std::map<std::string, std::string> paths;
-  for (const Json& view : Get<Json>(renders, "views", where)) {
-    paths[Get<std::string>(view, "id", where)] = Get<std::string>(view, "rgb", where);
-  }
-  return paths;
-}
-
-std::string SizeText(int width, int height) { return std::to_string(width) + "×" + std::to_string(height) + " px"; }
 
 // What the images of a scoring have in common, as the protocol states it.
 struct Common {
@@ -183,51 +145,26 @@ void Hide(const Mask& mask, Background background, RgbImage& image) {
 
 void Evaluate(const fs::path& scene_dir, const fs::path& renders_dir, const fs::path& out_dir, const Params& params,
               const LpipsChoice& lpips, int n_threads) {
-  const Manifest scene_manifest = RequireArtifact(scene_dir, "pose");
-  const Manifest renders_manifest = RequireArtifact(renders_dir, "render");
-  const Scene scene = LoadScene(scene_dir);
-  const ImagePack pack(scene_dir);
-  const std::vector<int> held_out = scene.ViewsOf(Split::kTest);
-  const std::map<std::string, std::string> rendered_paths = RenderedPaths(renders_dir);
-
-  ArtifactWriter artifact("eval", out_dir, params,
-                          {ArtifactInput(scene_dir, scene_manifest), ArtifactInput(renders_dir, renders_manifest)});
+  const HeldOutPairs pairs(scene_dir, renders_dir);
+  ArtifactWriter artifact("eval", out_dir, params, pairs.inputs());
   fs::create_directories(artifact.dir() / "truth");
-  Scoring scoring(held_out.size(), artifact.dir());
+  Scoring scoring(pairs.size(), artifact.dir());
   SharedLpips shared_lpips(lpips.network.get());
-  const std::vector<Score> scores = ScoreAll(held_out.size(), n_threads, [&](size_t i) {
-    const View& view = scene.views[held_out[i]];
-    const auto path = rendered_paths.find(view.id);
-    if (path == rendered_paths.end()) {
-      throw InputError("Held-out view " + view.id + " (" + view.name + ") is not in " + EscapePath(renders_dir) +
-                       "/renders.json; render the held-out views again.");
-    }
-    const fs::path rendered_path = renders_dir / UnescapePath(path->second);
-    const StoredImage rendered = ReadImage(rendered_path);
-    if (rendered.rgb.width != view.width || rendered.rgb.height != view.height) {
-      throw InputError("Image " + EscapePath(rendered_path) + " is " +
-                       SizeText(rendered.rgb.width, rendered.rgb.height) + " but its photo in the scene " +
-                       SizeText(view.width, view.height) + "; render the views again from this scene.");
-    }
-    const StoredImage photo = PhotoOf(view, pack.Pixels(view));
+  const std::vector<Score> scores = ScoreAll(pairs.size(), n_threads, [&](size_t i) {
+    const View& view = pairs.ViewOf(i);
+    const HeldOutPairs::Pair read = pairs.Read(i);
     const std::string truth_path = "truth/" + view.id + ".png";
-    const std::vector<uint8_t> truth = ToEightBits(Composited(photo, BehindAlpha(scene.background)));
-    WriteRgbPng(artifact.dir() / truth_path, view.width, view.height, truth);
-    const ScoredPair pair{FromEightBits(view.width, view.height, truth), rendered.rgb, {}, ForegroundOf(photo)};
-    const Score score = scoring.Add(i, view.id, pair, photo, rendered, shared_lpips, lpips.network != nullptr);
+    WriteRgbPng(artifact.dir() / truth_path, view.width, view.height, read.truth);
+    const ScoredPair pair{
+        FromEightBits(view.width, view.height, read.truth), read.rendered.rgb, {}, ForegroundOf(read.photo)};
+    const Score score =
+        scoring.Add(i, view.id, pair, read.photo, read.rendered, shared_lpips, lpips.network != nullptr);
     scoring.entry(i)["name"] = view.name;
     scoring.entry(i)["truth"] = truth_path;
-    scoring.entry(i)["rendered"] = EscapePath(fs::proximate(rendered_path, out_dir));
+    scoring.entry(i)["rendered"] = EscapePath(fs::proximate(read.rendered_path, out_dir));
     return score;
   });
-
-  const bool has_alpha =
-      std::any_of(held_out.begin(), held_out.end(), [&](int index) { return scene.views[index].channels == 4; });
-  scoring.Finish(
-      scores, lpips,
-      {BackgroundName(has_alpha ? BehindAlpha(scene.background) : Background::kNone),
-       scene_manifest.facts.value("split_rule", std::string("as recorded in the scene's views")), "area average"},
-      artifact);
+  scoring.Finish(scores, lpips, {BackgroundName(pairs.background()), pairs.split_rule(), "area average"}, artifact);
   if (scores.empty()) LogWarning(std::string("nothing was scored: ") + kNoViewReason);
 }
 

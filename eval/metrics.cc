@@ -14,9 +14,7 @@ namespace {
 
 constexpr int kChannels = 3;
 
-std::string SizeText(const RgbImage& image) {
-  return std::to_string(image.width) + "×" + std::to_string(image.height) + " px";
-}
+std::string SizeText(const RgbImage& image) { return nrff::SizeText(image.width, image.height); }
 
 void CheckImage(const RgbImage& image, const char* what) {
   const size_t expected = image.width > 0 && image.height > 0 ? size_t(image.width) * image.height * kChannels : 0;
@@ -82,6 +80,8 @@ std::vector<double> Product(const std::vector<double>& a, const std::vector<doub
 }
 
 }  // namespace
+
+std::string SizeText(int width, int height) { return std::to_string(width) + "×" + std::to_string(height) + " px"; }
 
 void CheckPair(const RgbImage& truth, const RgbImage& rendered) {
   CheckImage(truth, "true");

@@ -6,6 +6,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <string>
 #include <vector>
 
 namespace nrff {
@@ -17,6 +18,8 @@ struct RgbImage {
 
 // Which pixels count: [height, width], not 0. nullptr: all.
 using Mask = std::vector<uint8_t>;
+
+std::string SizeText(int width, int height);  // "40×32 px"
 
 // Throws as said above.
 void CheckPair(const RgbImage& truth, const RgbImage& rendered);

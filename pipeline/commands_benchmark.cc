@@ -51,7 +51,7 @@ void Benchmark(const DataSet& data_set, Options options) {
 
 struct PrecisionOptions {
   std::string workspace, budgets = "15s,30s,1m", seeds = "3", threads;
-  std::vector<std::string> parts = {"training", "rendering", "poses"};
+  std::vector<std::string> parts = {"training", "rendering", "scoring", "poses"};
   OutputOptions output;
 };
 
@@ -87,13 +87,13 @@ Command AddWorkPrecision(CLI::App& command) {
   kind->add_option("--seeds", options->seeds, "Trainings of each (default: 3)")
       ->type_name("N")
       ->check([](const std::string& text) { return CheckRange(text, 1, 100); });
-  kind->add_option("--parts", options->parts, "Of training,rendering,poses (default: all)")
+  kind->add_option("--parts", options->parts, "Of training,rendering,scoring,poses (default: all)")
       ->type_name("PARTS")
       ->delimiter(',')
       ->allow_extra_args(false)
       ->check([](const std::string& text) {
-        const bool known = text == "training" || text == "rendering" || text == "poses";
-        return known ? std::string() : "'" + text + "' is no part; there are training, rendering and poses";
+        const bool known = text == "training" || text == "rendering" || text == "scoring" || text == "poses";
+        return known ? std::string() : "'" + text + "' is no part; there are training, rendering, scoring and poses";
       });
   kind->add_option("--threads", options->threads, "Threads of one stage (default: all cores)")
       ->type_name("N")

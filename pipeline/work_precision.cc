@@ -13,6 +13,7 @@
 #include "pipeline/report_page.h"
 #include "pipeline/report_summary.h"
 #include "pipeline/run.h"
+#include "pipeline/stage.h"
 
 namespace nrff {
 namespace {
@@ -21,7 +22,6 @@ namespace fs = std::filesystem;
 
 constexpr int kWorkPrecisionSchemaVersion = 1;
 constexpr char kFolder[] = "work-precision";
-constexpr char kRendering[] = "rendering";
 constexpr double kPsnrMarks[] = {20, 22, 25, 27, 30, 33, 35};  // dB
 
 struct TrainingRun {
@@ -129,35 +129,49 @@ Json Training(const BranchRequest& scene, const WorkPrecisionOptions& options, V
           {"time_to", TimeTo(bands)}};
 }
 
-// What nrff-render measures on the scene's own model.
-Json Rendering(const BranchRequest& scene, const WorkPrecisionOptions& options, Verbosity verbosity) {
+// What a stage's program measures on what the scene's workspace holds, as a node beside the scene's own.
+struct Measurement {
+  const char* name;                                        // of the artifact
+  const char* program;                                     // which takes --work-precision
+  std::vector<std::pair<const char*, const char*>> reads;  // option, stage
+  bool takes_threads;
+};
+
+Json Measured(const Measurement& measurement, const BranchRequest& scene, const WorkPrecisionOptions& options,
+              Verbosity verbosity) {
   const Machine machine = ThisMachine();
   const bool posed = Get<bool>(scene.workspace.Require("ingest").facts, "posed", "ingest's manifest");
   std::vector<Node> nodes = BranchToRunAgain(scene, machine, posed, {});
-  std::erase_if(
-      nodes, [](const Node& node) { return node.stage == "render" || node.stage == "eval" || node.stage == "report"; });
+  std::erase_if(nodes, [](const Node& node) { return node.stage == "eval" || node.stage == "report"; });
   Node node;
   node.branch = scene.name;
-  node.stage = kRendering;
-  node.artifact = scene.workspace.root() / kFolder / kRendering;
-  node.log = scene.workspace.Log("work-precision");
+  node.stage = measurement.name;
+  node.artifact = scene.workspace.root() / kFolder / measurement.name;
+  node.log = scene.workspace.Log(std::string("work-precision-") + measurement.name);
   node.cores = machine.cores;
-  node.command = {(scene.executables / "nrff-render").string(),
-                  "--work-precision",
-                  "--scene",
-                  scene.workspace.Artifact("pose").string(),
-                  "--model",
-                  scene.workspace.Artifact("train").string(),
-                  "--out",
-                  node.artifact.string(),
-                  "--verbose"};
-  if (!options.threads.empty()) node.command.insert(node.command.end(), {"--threads", options.threads});
   node.params = {{"work-precision", "true"}};
-  node.inputs = {scene.name + "/pose", scene.name + "/train"};
+  node.command = {(scene.executables / measurement.program).string(), "--work-precision", "--out",
+                  node.artifact.string(), "--verbose"};
+  for (const auto& [option, stage] : measurement.reads) {
+    scene.workspace.Require(stage);
+    node.command.insert(node.command.end(), {option, scene.workspace.Artifact(stage).string()});
+    node.inputs.push_back(scene.name + "/" + stage);
+  }
+  if (measurement.takes_threads && !options.threads.empty()) {
+    node.command.insert(node.command.end(), {"--threads", options.threads});
+  }
+  if (std::string(measurement.program) == "nrff-eval") {
+    const std::string network = LpipsNetworkOf(scene);
+    node.command.insert(node.command.end(), {"--lpips", network});
+    node.params["lpips"] = LpipsParameter(network);
+  }
   nodes.push_back(node);
   ThrowIfFailed(RunBranches({scene}, std::move(nodes), machine, verbosity));
-  return ReadJson(scene.workspace.root() / kFolder / kRendering / "work_precision.json");
+  return ReadJson(node.artifact / "work_precision.json");
 }
+
+const Measurement kRendering{"rendering", "nrff-render", {{"--scene", "pose"}, {"--model", "train"}}, true};
+const Measurement kScoring{"scoring", "nrff-eval", {{"--scene", "pose"}, {"--renders", "render"}}, false};
 
 // What SfM spends its time on: one is varied, the others are as `nrff run` begins with many photos.
 struct PoseSetting {
@@ -252,7 +266,8 @@ Json MeasureWorkPrecision(const Workspace& workspace, const WorkPrecisionOptions
     return std::find(options.parts.begin(), options.parts.end(), part) != options.parts.end();
   };
   const Json training = asked("training") ? Training(scene, options, verbosity) : Json();
-  const Json measured = asked("rendering") ? Rendering(scene, options, verbosity) : Json();
+  const Json measured = asked("rendering") ? Measured(kRendering, scene, options, verbosity) : Json();
+  const Json scoring = asked("scoring") ? Measured(kScoring, scene, options, verbosity) : Json();
   const Json poses = asked("poses") ? Poses(scene, options, verbosity) : Json();
   const Manifest train = workspace.Require("train");
   const std::string name = ReadWorkspace(workspace.root()).name;
@@ -261,6 +276,7 @@ Json MeasureWorkPrecision(const Workspace& workspace, const WorkPrecisionOptions
                        {"training", training},
                        {"rendering", At(measured, "rendering")},
                        {"quadrature", At(measured, "quadrature")},
+                       {"scoring", At(scoring, "scoring")},
                        {"poses", poses},
                        {"host", train.host},
                        {"version", Version()},

@@ -8,6 +8,7 @@
 //                 bands [{budget_seconds, seconds, samples, psnr, ssim, lpips: {mean, least, most} or null}]
 //                 time_to [{psnr, seconds: the shortest measured training whose mean reaches it, or null}]}
 //     rendering, quadrature: as render/work_precision.h says; null where not asked for
+//     scoring    as eval/work_precision.h says; null where not asked for
 //     poses      where the capture brings poses: estimated without them, and compared with them (nrff-pose compare)
 //                 {reason: why there is nothing, or null
 //                  points [{image_size, features, matching, seconds: of COLMAP, n_registered, n_images, errors, error:
@@ -29,12 +30,12 @@ namespace nrff {
 struct WorkPrecisionOptions {
   std::vector<double> budgets = {15, 30, 60};  // s
   int n_seeds = 3;
-  std::vector<std::string> parts = {"training", "rendering", "poses"};
+  std::vector<std::string> parts = {"training", "rendering", "scoring", "poses"};
   std::string threads;  // as given, or empty
 };
 
 // Trains the scene of the workspace once for every budget and seed, in workspaces of their own in
-// `workspace`/work-precision that share its poses, measures rendering on its model, and estimates poses from its photos
+// `workspace`/work-precision that share its poses, measures rendering on its model and scoring on its renders, and estimates poses from its photos
 // at several settings. What is there and not stale is
 // kept. Writes the three files there. Throws what a stage failed with, InputError where pose or train is not made.
 Json MeasureWorkPrecision(const Workspace& workspace, const WorkPrecisionOptions& options, Verbosity verbosity);

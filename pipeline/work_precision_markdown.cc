@@ -80,6 +80,24 @@ std::string QuadratureText(const Json& quadrature) {
   return text + "\n";
 }
 
+std::string ScoringText(const Json& scoring) {
+  std::string text =
+      "\n## Scoring\n\nThe figures of up to eight held-out views on images shrunk by area averaging, and the seconds "
+      "an "
+      "image takes. Bold: what nrff-eval does.\n\n"
+      "| px | PSNR, dB | SSIM | LPIPS | PSNR, s | SSIM, s | LPIPS, s |\n|---:|---:|---:|---:|---:|---:|---:|\n";
+  for (const Json& point : scoring) {
+    const char* bold = point.at("chosen").get<bool>() ? "**" : "";
+    const Json& seconds = point.at("seconds");
+    text += fmt::format("| {}{} × {}{} | {} | {} | {} | {} | {} | {} |\n", bold, point.at("width").get<int>(),
+                        point.at("height").get<int>(), bold, Figure(point.at("psnr"), "{:.2f}"),
+                        Figure(point.at("ssim"), "{:.4f}"), Figure(point.at("lpips"), "{:.4f}"),
+                        Figure(seconds.at("psnr"), "{:.4f}"), Figure(seconds.at("ssim"), "{:.4f}"),
+                        Figure(seconds.at("lpips"), "{:.3f}"));
+  }
+  return text;
+}
+
 std::string PosesText(const Json& poses) {
   if (poses.at("reason").is_string()) {
     return fmt::format("\n## Poses\n\nNot measured: {}.\n", poses.at("reason").get<std::string>());
@@ -121,6 +139,7 @@ std::string WorkPrecisionMarkdown(const Json& result) {
   if (result.at("training").is_object()) text += TrainingText(result.at("training"));
   if (result.at("rendering").is_object()) text += RenderingText(result.at("rendering"));
   if (result.at("quadrature").is_array()) text += QuadratureText(result.at("quadrature"));
+  if (result.at("scoring").is_array()) text += ScoringText(result.at("scoring"));
   if (result.at("poses").is_object()) text += PosesText(result.at("poses"));
   return text;
 }

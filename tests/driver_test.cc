@@ -512,6 +512,8 @@ TEST_F(DriverTest, WorkPrecisionTrainsEveryBudgetAndSeedOnTheScenesOwnPoses) {
   std::vector<std::string> ran = Ran();
   EXPECT_EQ(std::count(ran.begin(), ran.end(), "train"), 4);
   EXPECT_EQ(std::count(ran.begin(), ran.end(), "rendering"), 1);
+  EXPECT_EQ(std::count(ran.begin(), ran.end(), "scoring"), 1);
+  EXPECT_THAT(result.out, HasSubstr("| **8 × 6** | 30.50 | – | – | 0.2500 | – | – |"));
   EXPECT_EQ(std::count(ran.begin(), ran.end(), "ingest") + std::count(ran.begin(), ran.end(), "pose"), 0);
   const Json json = ReadJson(root_ / "work/work-precision/work_precision.json");
   EXPECT_EQ(json["training"]["bands"].size(), 2);

@@ -13,6 +13,7 @@
 #include "eval/image_file.h"
 #include "eval/lpips.h"
 #include "eval/metrics.h"
+#include "eval/work_precision.h"
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "pipeline/manifest.h"
@@ -568,6 +569,32 @@ TEST_F(CompareTest, WhatDoesNotPairIsAnInputErrorThatNamesIt) {
   expect_error("3×2");
   Write("rendered/a.tif", 3, 8, Grey);
   expect_error("extensions alone");
+}
+
+TEST(Shrunk, IsTheMeanOfBlocksAndCutsWhatIsLeftOver) {
+  RgbImage image = Constant(5, 3, 0);
+  for (size_t i = 0; i < image.rgb.size(); ++i) image.rgb[i] = double(i);
+  const RgbImage small = Shrunk(image, 2);
+  EXPECT_EQ(small.width, 2);
+  EXPECT_EQ(small.height, 1);
+  // Pixel 1: columns 2 and 3 of rows 0 and 1; channel 2.
+  EXPECT_DOUBLE_EQ(small.rgb[3 * 1 + 2], (8 + 11 + 23 + 26) / 4.0);
+  EXPECT_EQ(Shrunk(image, 1).rgb, image.rgb);
+}
+
+TEST_F(EvaluateTest, WorkPrecisionHasTheScoresOwnFiguresAtFullSize) {
+  MakeScene(3, 40, 24);
+  MakeRenders(3, [](int v, size_t i) { return uint8_t(Pixel(v, i) + v); });
+  const Json metrics = Run()["metrics"];
+  const Json points = ScoringWorkPrecision(HeldOutPairs(dir_ / "pose", dir_ / "render"), nullptr);
+  ASSERT_EQ(points.size(), 4);
+  EXPECT_EQ(points[3]["factor"], 1);
+  EXPECT_NEAR(points[3]["psnr"], metrics["psnr"], 1e-9);
+  EXPECT_NEAR(points[3]["ssim"], metrics["ssim"], 1e-9);
+  EXPECT_TRUE(points[3]["lpips"].is_null());
+  EXPECT_EQ(points[0]["width"], 5);
+  EXPECT_TRUE(points[0]["ssim"].is_null());               // smaller than the window
+  EXPECT_NEAR(points[0]["psnr"], metrics["psnr"], 1e-9);  // a constant offset stays one
 }
 
 TEST_F(EvaluateTest, SameInputGivesTheSameBytes) {

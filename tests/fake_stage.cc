@@ -132,14 +132,23 @@ int main(int argc, char** argv) {
                               {"psnr", nullptr}, {"samples_per_ray", 9}, {"shaded_per_ray", 2}, {"chosen", true}};
     const nrff::Json family = {{"family", "step"}, {"points", {point}}};
     const nrff::Json quadrature = {{"density", "linear"}, {"points", {{{"n_samples", 1}, {"error", 0.5}}}}};
-    nrff::WriteJson(artifact.dir() / "work_precision.json", {{"rendering",
-                                                              {{"n_views", 3},
-                                                               {"width", 20},
-                                                               {"height", 10},
-                                                               {"threads", 2},
-                                                               {"reference_seconds", 1.5},
-                                                               {"families", {family}}}},
-                                                             {"quadrature", {quadrature}}});
+    nrff::WriteJson(artifact.dir() / "work_precision.json",
+                    {{"rendering",
+                      {{"n_views", 3},
+                       {"width", 20},
+                       {"height", 10},
+                       {"threads", 2},
+                       {"reference_seconds", 1.5},
+                       {"families", {family}}}},
+                     {"quadrature", {quadrature}},
+                     {"scoring",
+                      {{{"width", 8},
+                        {"height", 6},
+                        {"chosen", true},
+                        {"psnr", 30.5},
+                        {"ssim", nullptr},
+                        {"lpips", nullptr},
+                        {"seconds", {{"psnr", 0.25}, {"ssim", nullptr}, {"lpips", nullptr}}}}}}});
     artifact.AddOutput("work_precision.json");
   }
   artifact.facts() = facts;

@@ -1,7 +1,7 @@
 // Training by budget, rendering by setting, quadrature by samples.
-const {training, rendering, quadrature, poses} = DATA;
+const {training, rendering, quadrature, scoring, poses} = DATA;
 byId("lead").textContent = [`nrff ${DATA.version}`, DATA.host?.cpu, DATA.date].filter(Boolean).join(" · ");
-for (const part of ["training", "rendering", "quadrature", "poses"]) byId(part).hidden = !DATA[part];
+for (const part of ["training", "rendering", "quadrature", "scoring", "poses"]) byId(part).hidden = !DATA[part];
 
 function showTraining() {
   const seeds = training.seeds === 1 ? "one seed" : `${training.seeds} seeds`;
@@ -62,6 +62,21 @@ function showQuadrature() {
   {title: "Transmittance behind the ray", x: "samples a ray", y: "|T − closed form|"}));
 }
 
+function showScoring() {
+  const series = ["psnr", "ssim", "lpips"].map((key) => ({name: key.toUpperCase(), points: scoring.filter((point) => isNumber(point.seconds[key])).map((point) => ({
+    x: point.width * point.height, y: Math.max(point.seconds[key], 1e-7), chosen: point.chosen,
+    label: [[key.toUpperCase(), format.fixed(point[key], 4)], ["image", `${point.width} × ${point.height}`], ["seconds", point.seconds[key].toPrecision(2)]]}))}));
+  byId("scoring-plots").append(makeLogPlot(series.filter((one) => one.points.length > 0), {title: "Time by image size", x: "pixels", y: "seconds an image"}));
+  const seconds = (key) => ({label: `${key.toUpperCase()} (s)`, number: true, value: (point) => point.seconds[key], cell: (point) => (isNumber(point.seconds[key]) ? point.seconds[key].toPrecision(2) : DASH)});
+  byId("scoring-table").append(makeTable([
+    {label: "Image", number: true, value: (point) => point.width, cell: (point) => `${point.width} × ${point.height}`},
+    {label: "PSNR (dB)", number: true, value: (point) => point.psnr, cell: (point) => format.psnr(point.psnr)},
+    {label: "SSIM", number: true, value: (point) => point.ssim, cell: (point) => format.ssim(point.ssim)},
+    {label: "LPIPS", number: true, value: (point) => point.lpips, cell: (point) => format.ssim(point.lpips)},
+    seconds("psnr"), seconds("ssim"), seconds("lpips"),
+  ], scoring, {stack: true}).element);
+}
+
 function showPoses() {
   byId("poses-hint").textContent = poses.reason ? `Not measured: ${poses.reason}.`
     : "Estimated from the photos alone and compared with the capture's own after a robust alignment; positions in % of the cameras' rms distance from their mean. AUC: area under the recall curve of relative poses up to 5°, photos without a pose counted as misses. The large point is what nrff run begins with.";
@@ -91,4 +106,5 @@ byId("poses-table").append(makeTable([
 if (training) showTraining();
 if (rendering) showRendering();
 if (quadrature) showQuadrature();
+if (scoring) showScoring();
 if (poses) showPoses();
