@@ -6,6 +6,7 @@
 #include "eval/evaluate.h"
 #include "eval/work_precision.h"
 #include "pipeline/error.h"
+#include "pipeline/files.h"
 #include "pipeline/json.h"
 #include "pipeline/manifest.h"
 #include "pipeline/stage.h"
@@ -72,6 +73,7 @@ int main(int argc, char** argv) {
     params["lpips"] = nrff::LpipsParameter(lpips);
     const nrff::LpipsChoice choice = nrff::ChooseLpips(lpips);
     if (given_folders) {
+      if (params.contains("masks")) params["masks"] = nrff::EscapePath(folders.masks);
       folders.background = background == "white" ? nrff::Background::kWhite : nrff::Background::kBlack;
       nrff::Compare(folders, out, params, choice, n_threads);
     } else if (work_precision) {

@@ -43,6 +43,11 @@ StoredImage ReadImage(const std::filesystem::path& path) {
     throw InputError("Image " + where + " has " + std::to_string(n_channels) + " channels of type " +
                      spec.format.c_str() + "; expected grey or RGB, with or without alpha, of 8 or 16 bits.");
   }
+  const int orientation = spec.get_int_attribute("Orientation", 1);
+  if (orientation != 1) {
+    throw InputError("Image " + where + " says that it is to be turned (EXIF orientation " +
+                     std::to_string(orientation) + "); save it upright, without that note.");
+  }
   const std::vector<double> values = sixteen ? ReadUnitValues<uint16_t>(*file, OIIO::TypeDesc::UINT16, where)
                                              : ReadUnitValues<uint8_t>(*file, OIIO::TypeDesc::UINT8, where);
   const size_t n_pixels = size_t(spec.width) * spec.height;
@@ -51,10 +56,14 @@ StoredImage ReadImage(const std::filesystem::path& path) {
   StoredImage image{{spec.width, spec.height, std::vector<double>(3 * n_pixels)},
                     std::vector<double>(has_alpha ? n_pixels : 0),
                     sixteen ? 16 : 8};
+  // Some files hold colours that are multiplied by alpha already.
+  const bool associated = has_alpha && spec.get_int_attribute("oiio:UnassociatedAlpha", 0) == 0;
   for (size_t i = 0; i < n_pixels; ++i) {
     const double* pixel = values.data() + i * n_channels;
-    for (int c = 0; c < 3; ++c) image.rgb.rgb[3 * i + c] = pixel[std::min(c, n_colours - 1)];
-    if (has_alpha) image.alpha[i] = pixel[n_colours];
+    const double alpha = has_alpha ? pixel[n_colours] : 1;
+    const double scale = associated && alpha > 0 ? 1 / alpha : 1;
+    for (int c = 0; c < 3; ++c) image.rgb.rgb[3 * i + c] = scale * pixel[std::min(c, n_colours - 1)];
+    if (has_alpha) image.alpha[i] = alpha;
   }
   return image;
 }

@@ -1,5 +1,6 @@
 #include "eval/score.h"
 
+#include <algorithm>
 #include <atomic>
 #include <cmath>
 #include <future>
@@ -79,7 +80,12 @@ Score ScoreImages(const ScoredPair& pair, SharedLpips& lpips) {
   score.ssim = Ssim(pair.truth, pair.rendered, mask);
   score.lpips = lpips.Distance(pair.truth, pair.rendered);
   score.psnr_quantised = Psnr(Quantised(pair.truth), Quantised(pair.rendered), mask);
-  if (pair.foreground) score.psnr_foreground = Psnr(pair.truth, pair.rendered, &*pair.foreground);
+  if (pair.foreground) {
+    Mask subject = *pair.foreground;
+    for (size_t i = 0; mask != nullptr && i < subject.size(); ++i) subject[i] = subject[i] != 0 && (*mask)[i] != 0;
+    const bool any = std::any_of(subject.begin(), subject.end(), [](uint8_t inside) { return inside != 0; });
+    if (any) score.psnr_foreground = Psnr(pair.truth, pair.rendered, &subject);
+  }
   return score;
 }
 
@@ -135,7 +141,7 @@ Json MeanScores(const std::vector<Score>& scores, const LpipsChoice& lpips, cons
                     {"psnr_quantised", quantised.ToJson()},
                     {"psnr_foreground", foreground.ToJson()}}}};
   if (psnr.empty()) metrics["psnr_reason"] = scores.empty() ? nothing : "every image is identical to its photo";
-  if (ssim.empty()) metrics["ssim_reason"] = scores.empty() ? nothing : "every image is smaller than the window";
+  if (ssim.empty()) metrics["ssim_reason"] = scores.empty() ? nothing : "no window lies in any image";
   if (distance.empty()) {
     metrics["lpips_reason"] = lpips.network == nullptr ? lpips.decision.reason
                               : scores.empty()         ? nothing

@@ -58,7 +58,7 @@ Json ScoringWorkPrecision(const HeldOutPairs& pairs, LpipsNetwork* lpips) {
   int n_done = 0;
   for (const int factor : kFactors) {
     Timed psnr, ssim, distance;
-    int width = 0, height = 0;
+    int width = 0, height = 0, n_images = 0;
     for (size_t i = 0; i < n_pairs; ++i) {
       const size_t index = i * pairs.size() / n_pairs;
       const View& view = pairs.ViewOf(index);
@@ -66,7 +66,8 @@ Json ScoringWorkPrecision(const HeldOutPairs& pairs, LpipsNetwork* lpips) {
       const HeldOutPairs::Pair pair = pairs.Read(index);
       const RgbImage truth = Shrunk(FromEightBits(view.width, view.height, pair.truth), factor);
       const RgbImage rendered = Shrunk(pair.rendered.rgb, factor);
-      width = truth.width, height = truth.height;
+      width = std::max(width, truth.width), height = std::max(height, truth.height);
+      ++n_images;
       psnr.Add([&] { return std::optional(Psnr(truth, rendered)); });
       ssim.Add([&] { return Ssim(truth, rendered); });
       if (lpips != nullptr) distance.Add([&] { return lpips->Distance(truth, rendered); });
@@ -76,7 +77,7 @@ Json ScoringWorkPrecision(const HeldOutPairs& pairs, LpipsNetwork* lpips) {
     points.push_back({{"factor", factor},
                       {"width", width},
                       {"height", height},
-                      {"n_images", n_pairs},
+                      {"n_images", n_images},
                       {"psnr", psnr.Value()},
                       {"ssim", ssim.Value()},
                       {"lpips", distance.Value()},

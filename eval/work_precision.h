@@ -14,7 +14,7 @@ namespace nrff {
 // most the shorter side.
 RgbImage Shrunk(const RgbImage& image, int factor);
 
-// [{factor, width, height, n_images, psnr, ssim, lpips: means or null,
+// [{factor, width, height: the largest, n_images, psnr, ssim, lpips: means or null,
 //   seconds {psnr, ssim, lpips}: an image, one thread but for LPIPS; chosen: the own size}], of up to kMostPairs pairs
 // spread over their order, from the smallest images to the largest. Shows progress.
 Json ScoringWorkPrecision(const HeldOutPairs& pairs, LpipsNetwork* lpips);

@@ -10,6 +10,7 @@
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "pipeline/manifest.h"
+#include "pipeline/markdown.h"
 #include "pipeline/report_content.h"
 #include "pipeline/report_page.h"
 #include "pipeline/report_summary.h"
@@ -154,16 +155,17 @@ Json Differences(const DataSet& data_set, const Json& rows, const Json& missing)
   if (!models.empty()) add("Training: " + models + "; published: as in the table, each with its full model.");
 
   const std::string splits = ByScene(rows, [](const Json& row) {
-    if (!row.at("split_rule").is_string()) return std::string();
+    if (!row.at("split_rule").is_string() || row.at("n_images") == 0) return std::string();
     return fmt::format("{} images, {}", row.at("n_images").get<int>(), row.at("split_rule").get<std::string>());
   });
   add(fmt::format("Held out: {}; published: {}.", splits.empty() ? "nothing yet" : splits, data_set.split));
 
-  const std::string background = ByScene(rows, [](const Json& row) {
+  const std::string background = ByScene(rows, [&](const Json& row) {
     const Json& shown = At(row.at("protocol"), "background");
-    return shown.is_string() && shown != "none" ? shown.get<std::string>() : std::string();  // none: no alpha
+    const bool differs = shown.is_string() && shown != "none" && shown != data_set.background;  // none: no alpha
+    return differs ? shown.get<std::string>() : std::string();
   });
-  if (!background.empty() && background != data_set.background) {
+  if (!background.empty()) {
     add(fmt::format("Background behind alpha: {}; published: {}.", background, data_set.background));
   }
   const std::string bits = ByScene(rows, [](const Json& row) {
@@ -178,6 +180,11 @@ Json Differences(const DataSet& data_set, const Json& rows, const Json& missing)
                     "images of 8 bits.",
                     bits));
   }
+  const std::string machines = ByScene(rows, [](const Json& row) {
+    const Json& cpu = At(row.at("host"), "cpu");
+    return cpu.is_string() ? cpu.get<std::string>() : std::string();
+  });
+  if (machines.find(';') != std::string::npos) add("Machines: " + machines + ".");
   add("SSIM: RGB, 11 × 11 Gaussian of σ 1.5, windows inside the image, as the code of NRFF and TensoRF computes it.");
   const std::string lpips = ByScene(rows, [](const Json& row) {
     const Json& network = At(row.at("protocol"), "lpips");
@@ -189,15 +196,6 @@ Json Differences(const DataSet& data_set, const Json& rows, const Json& missing)
   });
   if (!lpips.empty()) add(fmt::format("LPIPS: {}; published: VGG.", lpips));
   return differences;
-}
-
-std::string Figure(const Json& value, const char* format) {
-  return value.is_number() ? fmt::format(fmt::runtime(format), value.get<double>()) : "–";
-}
-
-std::string Cell(const Json& value) {
-  const std::string text = value.is_string() ? value.get<std::string>() : std::string();
-  return text.empty() ? "–" : text;
 }
 
 std::string Figures(const Json& row) {
@@ -212,16 +210,10 @@ std::string Variants(const Json& row) {
                      Figure(At(variants, "psnr_foreground"), "{:.2f}"));
 }
 
-// What a table cell cannot hold as it is.
-std::string InTable(std::string text) {
-  for (size_t at = text.find('|'); at != std::string::npos; at = text.find('|', at + 2)) text.replace(at, 1, "\\|");
-  return text;
-}
-
 }  // namespace
 
 Json BenchmarkTable(const DataSet& data_set, const fs::path& folder, const std::vector<fs::path>& workspaces,
-                    const Json& options) {
+                    const std::string& command) {
   Json rows = Json::array(), published = Json::array(), host;
   for (const fs::path& workspace : workspaces) rows.push_back(SceneRow(data_set, folder, workspace));
   for (const PublishedResult& result : data_set.published) {
@@ -252,35 +244,30 @@ Json BenchmarkTable(const DataSet& data_set, const fs::path& folder, const std::
           {"mean", Mean(rows)},
           {"published", published},
           {"differences", differences},
-          {"options", options},
+          {"command", command},
           {"host", host},
           {"version", Version()},
           {"date", fmt::format("{:%Y-%m-%d}", fmt::gmtime(std::time(nullptr)))}};
 }
 
 std::string BenchmarkMarkdown(const Json& table) {
-  std::string options;
-  for (const auto& [name, value] : table.at("options").items()) {
-    options += fmt::format(" --{} {}", name, value.get<std::string>());
-  }
   const Json& data_set = table.at("data_set");
-  std::string text =
-      fmt::format("# {}\n\nnrff {}, {}, {}. Command: `nrff benchmark {}{} DIR`.\n\n",
-                  data_set.at("title").get<std::string>(), Cell(table.at("version")), Cell(At(table.at("host"), "cpu")),
-                  Cell(table.at("date")), Cell(data_set.at("name")), options);
+  std::string text = fmt::format("# {}\n\nnrff {}, {}, {}. Command: `{}`.\n\n", data_set.at("title").get<std::string>(),
+                                 CellText(table.at("version")), CellText(At(table.at("host"), "cpu")),
+                                 CellText(table.at("date")), table.at("command").get<std::string>());
   text +=
       "| scene | PSNR, dB | SSIM | LPIPS | images | px | training, s | steps | preset | s a view |\n"
       "|---|---:|---:|---:|---:|---:|---:|---:|---|---:|\n";
   for (const Json& row : table.at("scenes")) {
-    const std::string name = InTable(row.at("name").get<std::string>());
+    const std::string name = CellText(row.at("name"));
     if (row.at("status") == "failed") {
-      text += fmt::format("| {} | failed: {} |||||||||\n", name, InTable(Cell(At(row.at("failure"), "error"))));
+      text += fmt::format("| {} | failed: {} |||||||||\n", name, CellText(At(row.at("failure"), "error")));
       continue;
     }
     text += fmt::format("| {} | {} | {} | {} | {} | {} | {} | {} |\n", name, Figures(row),
                         Figure(row.at("n_images"), "{:.0f}"), SizeOf(row, "width", "height"),
                         Figure(row.at("training_seconds"), "{:.1f}"), Figure(row.at("steps"), "{:.0f}"),
-                        Cell(row.at("preset")), Figure(row.at("seconds_per_view"), "{:.3f}"));
+                        CellText(row.at("preset")), Figure(row.at("seconds_per_view"), "{:.3f}"));
   }
   const Json& mean = table.at("mean");
   text += fmt::format("| **mean of {}** | {} | | | {} | | | {} |\n\n", mean.at("n_scenes").get<int>(), Figures(mean),
@@ -290,17 +277,17 @@ std::string BenchmarkMarkdown(const Json& table) {
       "|---|---:|---:|---:|---|---|\n",
       Joined(data_set.at("scenes")));
   for (const Json& row : table.at("published")) {
-    text += fmt::format("| {} | {} | {} | {} |\n", Cell(row.at("method")), Figures(row), Cell(row.at("training")),
-                        Cell(row.at("source")));
+    text += fmt::format("| {} | {} | {} | {} |\n", CellText(row.at("method")), Figures(row),
+                        CellText(row.at("training")), CellText(row.at("source")));
   }
   text += "\nWhat differs, and how the figures were made:\n\n";
-  for (const Json& difference : table.at("differences")) text += "- " + Cell(difference) + "\n";
+  for (const Json& difference : table.at("differences")) text += "- " + CellText(difference) + "\n";
   text +=
       "\nThe same as other projects print it, PSNR in dB: of the mean squared error over all images; of images rounded "
       "to 8 bits; over the subject's pixels (alpha of a half or more).\n\n"
       "| scene | pooled | quantised | foreground |\n|---|---:|---:|---:|\n";
   for (const Json& row : table.at("scenes")) {
-    text += fmt::format("| {} | {} |\n", InTable(row.at("name").get<std::string>()), Variants(row));
+    text += fmt::format("| {} | {} |\n", CellText(row.at("name")), Variants(row));
   }
   return text + fmt::format("| **mean** | {} |\n", Variants(mean));
 }

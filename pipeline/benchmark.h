@@ -11,7 +11,7 @@
 //     mean          {psnr, ssim, lpips, variants, training_seconds, n_scenes}: over the scenes that have the figure
 //     published     [{method, psnr, ssim, lpips, training, source}]: means over all published scenes
 //     differences   [what has to be kept in mind when the figures are compared]
-//     options, host, version, date (UTC)
+//     command: as given, without places on this machine; host: of the first scene; version, date (UTC) of writing
 //   benchmark.md, benchmark.html  the same for people
 #pragma once
 
@@ -26,7 +26,7 @@ namespace nrff {
 
 // From what lies in the workspaces, whatever of it is there. Paths are relative to `folder`.
 Json BenchmarkTable(const DataSet& data_set, const std::filesystem::path& folder,
-                    const std::vector<std::filesystem::path>& workspaces, const Json& options);
+                    const std::vector<std::filesystem::path>& workspaces, const std::string& command);
 
 std::string BenchmarkMarkdown(const Json& table);
 

@@ -25,6 +25,24 @@ struct Options {
   bool dry_run = false;
 };
 
+// The command line as it was given, without what is a place on this machine: DIR stands for the data set.
+std::string CommandLine(const std::string& dir) {
+  std::istringstream arguments(ReadFile("/proc/self/cmdline"));
+  std::string text = "nrff", argument;
+  std::getline(arguments, argument, '\0');
+  while (std::getline(arguments, argument, '\0')) {
+    if (argument == "-w" || argument == "--workspace") {
+      std::getline(arguments, argument, '\0');
+      continue;
+    }
+    if (argument.starts_with("--workspace=") || argument.starts_with("-w")) continue;
+    if (argument == dir) argument = "DIR";
+    const bool plain = argument.find_first_of(" '\"$`|*?\\") == std::string::npos;
+    text += plain ? " " + EscapePath(argument) : " '" + EscapePath(argument) + "'";
+  }
+  return text;
+}
+
 void Benchmark(const DataSet& data_set, Options options) {
   BranchOptions& branch = options.branch;
   for (const fs::path& scene : FindScenes(data_set, options.dir)) branch.targets.push_back(scene);
@@ -36,7 +54,7 @@ void Benchmark(const DataSet& data_set, Options options) {
   roots.reserve(requests.size());
   for (const BranchRequest& request : requests) roots.push_back(request.workspace.root());
   const fs::path folder = branch.workspace.empty() ? branch.folder : branch.workspace;
-  const Json table = BenchmarkTable(data_set, folder, roots, requests.front().options);
+  const Json table = BenchmarkTable(data_set, folder, roots, CommandLine(options.dir));
   WriteBenchmark(folder, table);
   if (options.output.json) {
     PrintJson(table);
@@ -50,7 +68,7 @@ void Benchmark(const DataSet& data_set, Options options) {
 }
 
 struct PrecisionOptions {
-  std::string workspace, budgets = "15s,30s,1m", seeds = "3", threads;
+  std::string workspace, budgets = "15s,30s,1m", seeds = "3";
   std::vector<std::string> parts = {"training", "rendering", "scoring", "poses"};
   OutputOptions output;
 };
@@ -68,8 +86,7 @@ std::vector<double> ParseBudgets(const std::string& text) {
 void WorkPrecision(const PrecisionOptions& options) {
   const Workspace workspace(options.workspace);
   const Json result = MeasureWorkPrecision(
-      workspace, {ParseBudgets(options.budgets), std::stoi(options.seeds), options.parts, options.threads},
-      options.output.verbosity());
+      workspace, {ParseBudgets(options.budgets), std::stoi(options.seeds), options.parts}, options.output.verbosity());
   if (options.output.json) {
     PrintJson(result);
   } else if (!options.output.quiet) {
@@ -95,9 +112,6 @@ Command AddWorkPrecision(CLI::App& command) {
         const bool known = text == "training" || text == "rendering" || text == "scoring" || text == "poses";
         return known ? std::string() : "'" + text + "' is no part; there are training, rendering, scoring and poses";
       });
-  kind->add_option("--threads", options->threads, "Threads of one stage (default: all cores)")
-      ->type_name("N")
-      ->check([](const std::string& text) { return CheckRange(text, 1, kMostThreads); });
   AddVerbosityOptions(*kind, options->output);
   AddJsonOption(*kind, options->output);
   kind->footer(

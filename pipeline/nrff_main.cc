@@ -13,8 +13,8 @@ int main(int argc, char** argv) {
   app.set_version_flag("--version", nrff::Version());
   app.require_subcommand(0, 1);
   app.footer("Example: nrff run photos/\nHelp on one: nrff run --help");
-  const std::array commands = {nrff::AddRunCommand(app),    nrff::AddPlanCommand(app), nrff::AddStatusCommand(app),
-                               nrff::AddRenderCommand(app), nrff::AddEvalCommand(app), nrff::AddReportCommand(app),
+  const std::array commands = {nrff::AddRunCommand(app),      nrff::AddPlanCommand(app), nrff::AddStatusCommand(app),
+                               nrff::AddRenderCommand(app),   nrff::AddEvalCommand(app), nrff::AddReportCommand(app),
                                nrff::AddBenchmarkCommand(app)};
   app.allow_extras();  // not inherited by the commands; told of below
   return nrff::StageMain(app, argc, argv, [&] {

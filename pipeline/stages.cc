@@ -194,6 +194,15 @@ std::vector<Node> BranchToRunAgain(const BranchRequest& request, const Machine& 
   return nodes;
 }
 
+std::vector<Node> BranchOnPoses(const BranchRequest& request, const Machine& machine, bool posed) {
+  std::vector<Node> nodes = NodesAfterIngest(request, machine, posed);
+  nodes.insert(nodes.begin(), MakeNode(Table().front(), request, machine, posed));
+  for (Node& node : nodes) {
+    if (OrderOf(node.stage) <= OrderOf("pose")) node.when = When::kNever;
+  }
+  return nodes;
+}
+
 std::set<std::string> StageOptions() {
   std::set<std::string> options;
   for (const Stage& stage : Table()) {

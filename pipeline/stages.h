@@ -36,6 +36,9 @@ Node FirstNode(const BranchRequest& request, const Machine& machine);
 std::vector<Node> BranchToRunAgain(const BranchRequest& request, const Machine& machine, bool posed,
                                    const std::vector<std::string>& stages);
 
+// The branch of a capture whose poses are taken as they are; what follows them runs where it is stale.
+std::vector<Node> BranchOnPoses(const BranchRequest& request, const Machine& machine, bool posed);
+
 // What the eval stage is told to measure LPIPS with: what was given, or DefaultLpipsNetwork(), or needs::kNoLpips.
 std::string LpipsNetworkOf(const BranchRequest& request);
 

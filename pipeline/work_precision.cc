@@ -31,12 +31,11 @@ struct TrainingRun {
 };
 
 // A workspace for one budget and seed, with the poses of the scene's own.
-TrainingRun MakeTrainingRun(const BranchRequest& scene, double budget, int seed, const std::string& threads) {
+TrainingRun MakeTrainingRun(const BranchRequest& scene, double budget, int seed) {
   const std::string name = fmt::format("{}s-seed{}", budget, seed);
   BranchRequest request = scene;
   request.name = name;
   request.workspace = Workspace(scene.workspace.root() / kFolder / name);
-  request.threads = threads;
   request.options.erase("steps");
   request.options["budget"] = fmt::format("{}s", budget);
   request.options["seed"] = std::to_string(seed);
@@ -63,6 +62,7 @@ Json RunRow(const fs::path& folder, const TrainingRun& run) {
           {"steps", At(train, "steps")},
           {"samples", At(train, "samples")},
           {"preset", At(train, "preset")},
+          {"threads", At(train, "threads")},
           {"psnr", At(eval, "psnr")},
           {"ssim", At(eval, "ssim")},
           {"lpips", At(eval, "lpips")}};
@@ -90,6 +90,11 @@ Json Bands(const Json& runs, const std::vector<double>& budgets) {
     }
     Json band = {{"budget_seconds", budget}};
     for (const char* key : {"seconds", "samples", "steps", "psnr", "ssim", "lpips"}) band[key] = Band(rows, key);
+    for (const Json& row : rows) {
+      if (!row.at("preset").is_string()) continue;
+      Json& n_runs = band["presets"][row.at("preset").get<std::string>()];
+      n_runs = n_runs.is_number() ? n_runs.get<int>() + 1 : 1;
+    }
     bands.push_back(band);
   }
   return bands;
@@ -110,15 +115,23 @@ Json TimeTo(const Json& bands) {
 }
 
 Json Training(const BranchRequest& scene, const WorkPrecisionOptions& options, Verbosity verbosity) {
+  const bool posed = Get<bool>(scene.workspace.Require("ingest").facts, "posed", "ingest's manifest");
+  const Machine machine = ThisMachine();
   std::vector<TrainingRun> runs;
   std::vector<BranchRequest> requests;
+  std::vector<WorkspaceLock> locks;
+  std::vector<Node> nodes;
   for (const double budget : options.budgets) {
     for (int seed = 0; seed < options.n_seeds; ++seed) {
-      runs.push_back(MakeTrainingRun(scene, budget, seed, options.threads));
-      requests.push_back(runs.back().request);
+      runs.push_back(MakeTrainingRun(scene, budget, seed));
+      const BranchRequest& request = runs.back().request;
+      requests.push_back(request);
+      locks.emplace_back(request.workspace);
+      request.workspace.WriteMarker({request.capture, request.options});
+      for (Node& node : BranchOnPoses(request, machine, posed)) nodes.push_back(std::move(node));
     }
   }
-  ThrowIfFailed(RunRequests(requests, verbosity));
+  ThrowIfFailed(RunBranches(requests, std::move(nodes), machine, verbosity));
   Json rows = Json::array();
   for (const TrainingRun& run : runs) rows.push_back(RunRow(scene.workspace.root() / kFolder, run));
   const Json bands = Bands(rows, options.budgets);
@@ -133,16 +146,16 @@ Json Training(const BranchRequest& scene, const WorkPrecisionOptions& options, V
 struct Measurement {
   const char* name;                                        // of the artifact
   const char* program;                                     // which takes --work-precision
-  std::vector<std::pair<const char*, const char*>> reads;  // option, stage
-  bool takes_threads;
+  std::vector<std::pair<std::string, std::string>> reads;  // option, stage; in the order of the pipeline
 };
 
-Json Measured(const Measurement& measurement, const BranchRequest& scene, const WorkPrecisionOptions& options,
-              Verbosity verbosity) {
+Json Measured(const Measurement& measurement, const BranchRequest& scene, Verbosity verbosity) {
   const Machine machine = ThisMachine();
   const bool posed = Get<bool>(scene.workspace.Require("ingest").facts, "posed", "ingest's manifest");
   std::vector<Node> nodes = BranchToRunAgain(scene, machine, posed, {});
-  std::erase_if(nodes, [](const Node& node) { return node.stage == "eval" || node.stage == "report"; });
+  const std::string& last = measurement.reads.back().second;
+  const auto end = std::find_if(nodes.begin(), nodes.end(), [&](const Node& node) { return node.stage == last; });
+  nodes.erase(end + 1, nodes.end());
   Node node;
   node.branch = scene.name;
   node.stage = measurement.name;
@@ -157,9 +170,6 @@ Json Measured(const Measurement& measurement, const BranchRequest& scene, const 
     node.command.insert(node.command.end(), {option, scene.workspace.Artifact(stage).string()});
     node.inputs.push_back(scene.name + "/" + stage);
   }
-  if (measurement.takes_threads && !options.threads.empty()) {
-    node.command.insert(node.command.end(), {"--threads", options.threads});
-  }
   if (std::string(measurement.program) == "nrff-eval") {
     const std::string network = LpipsNetworkOf(scene);
     node.command.insert(node.command.end(), {"--lpips", network});
@@ -170,8 +180,8 @@ Json Measured(const Measurement& measurement, const BranchRequest& scene, const 
   return ReadJson(node.artifact / "work_precision.json");
 }
 
-const Measurement kRendering{"rendering", "nrff-render", {{"--scene", "pose"}, {"--model", "train"}}, true};
-const Measurement kScoring{"scoring", "nrff-eval", {{"--scene", "pose"}, {"--renders", "render"}}, false};
+const Measurement kRendering{"rendering", "nrff-render", {{"--scene", "pose"}, {"--model", "train"}}};
+const Measurement kScoring{"scoring", "nrff-eval", {{"--scene", "pose"}, {"--renders", "render"}}};
 
 // What SfM spends its time on: one is varied, the others are as `nrff run` begins with many photos.
 struct PoseSetting {
@@ -221,14 +231,19 @@ Json PosePoint(const PoseSetting& setting, const BranchResult& result, const Bra
   point["n_images"] = At(facts, "n_images");
   if (failed == nullptr) {
     LocalExecutor executor;
-    point["errors"] =
-        JsonFrom(executor, {(scene.executables / "nrff-pose").string(), "compare", "--json", "--quiet", "--estimated",
-                            result.request.workspace.root().string(), "--truth", scene.workspace.root().string()});
+    try {
+      point["errors"] =
+          JsonFrom(executor, {(scene.executables / "nrff-pose").string(), "compare", "--json", "--quiet", "--estimated",
+                              result.request.workspace.root().string(), "--truth", scene.workspace.root().string()});
+    } catch (const Error& error) {
+      if (executor.StopSignal() != 0) throw;
+      point["error"] = error.what();
+    }
   }
   return point;
 }
 
-Json Poses(const BranchRequest& scene, const WorkPrecisionOptions& options, Verbosity verbosity) {
+Json Poses(const BranchRequest& scene, Verbosity verbosity) {
   const auto nothing = [](const char* reason) { return Json{{"reason", reason}, {"points", Json::array()}}; };
   if (!Get<bool>(scene.workspace.Require("ingest").facts, "posed", "ingest's manifest")) {
     return nothing("the capture brings no poses that estimated ones could be compared with");
@@ -242,7 +257,6 @@ Json Poses(const BranchRequest& scene, const WorkPrecisionOptions& options, Verb
     request.name = fmt::format("{}px-{}-{}", setting.image_size, setting.features, setting.matching);
     request.workspace = Workspace(scene.workspace.root() / kFolder / "poses" / request.name);
     request.capture = photos;
-    request.threads = options.threads;
     request.until = "pose";
     request.options = {{"sfm-image-size", std::to_string(setting.image_size)},
                        {"sfm-features", std::to_string(setting.features)},
@@ -260,30 +274,47 @@ Json Poses(const BranchRequest& scene, const WorkPrecisionOptions& options, Verb
 Json MeasureWorkPrecision(const Workspace& workspace, const WorkPrecisionOptions& options, Verbosity verbosity) {
   const BranchRequest scene = BranchOf(workspace);
   const WorkspaceLock lock(workspace);
-  for (const char* stage : {"ingest", "pose", "train"}) workspace.Require(stage);
-  const fs::path folder = workspace.root() / kFolder;
   const auto asked = [&](const char* part) {
     return std::find(options.parts.begin(), options.parts.end(), part) != options.parts.end();
   };
-  const Json training = asked("training") ? Training(scene, options, verbosity) : Json();
-  const Json measured = asked("rendering") ? Measured(kRendering, scene, options, verbosity) : Json();
-  const Json scoring = asked("scoring") ? Measured(kScoring, scene, options, verbosity) : Json();
-  const Json poses = asked("poses") ? Poses(scene, options, verbosity) : Json();
-  const Manifest train = workspace.Require("train");
+  // What is missing is told before hours of training.
+  for (const char* stage : {"ingest", "pose"}) workspace.Require(stage);
+  if (asked("rendering")) workspace.Require("train");
+  if (asked("scoring")) workspace.Require("render");
+
+  const fs::path folder = workspace.root() / kFolder;
   const std::string name = ReadWorkspace(workspace.root()).name;
-  const Json result = {{"schema_version", kWorkPrecisionSchemaVersion},
-                       {"name", name},
-                       {"training", training},
-                       {"rendering", At(measured, "rendering")},
-                       {"quadrature", At(measured, "quadrature")},
-                       {"scoring", At(scoring, "scoring")},
-                       {"poses", poses},
-                       {"host", train.host},
-                       {"version", Version()},
-                       {"date", fmt::format("{:%Y-%m-%d}", fmt::gmtime(std::time(nullptr)))}};
-  WriteJson(folder / "work_precision.json", result);
-  WriteFileAtomically(folder / "work_precision.md", WorkPrecisionMarkdown(result));
-  WriteFileAtomically(folder / "work_precision.html", FillPage("work_precision.html", name, result));
+  Json result = {{"schema_version", kWorkPrecisionSchemaVersion},
+                 {"name", name},
+                 {"parts", options.parts},
+                 {"host", workspace.Require("pose").host},
+                 {"version", Version()},
+                 {"date", fmt::format("{:%Y-%m-%d}", fmt::gmtime(std::time(nullptr)))}};
+  for (const char* part : {"training", "rendering", "quadrature", "scoring", "poses"}) result[part] = nullptr;
+  // After every part, so that one that fails or is stopped does not take the others' results along.
+  const auto write = [&] {
+    fs::create_directories(folder);
+    WriteJson(folder / "work_precision.json", result);
+    WriteFileAtomically(folder / "work_precision.md", WorkPrecisionMarkdown(result));
+    WriteFileAtomically(folder / "work_precision.html", FillPage("work_precision.html", name, result));
+  };
+  if (asked("training")) {
+    result["training"] = Training(scene, options, verbosity);
+    write();
+  }
+  if (asked("rendering")) {
+    const Json measured = Measured(kRendering, scene, verbosity);
+    for (const char* part : {"rendering", "quadrature"}) result[part] = measured.at(part);
+    write();
+  }
+  if (asked("scoring")) {
+    result["scoring"] = Measured(kScoring, scene, verbosity).at("scoring");
+    write();
+  }
+  if (asked("poses")) {
+    result["poses"] = Poses(scene, verbosity);
+    write();
+  }
   return result;
 }
 

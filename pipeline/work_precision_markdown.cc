@@ -1,15 +1,12 @@
 // work_precision.json as Markdown.
 #include <fmt/format.h>
 
+#include "pipeline/markdown.h"
 #include "pipeline/report_summary.h"
 #include "pipeline/work_precision.h"
 
 namespace nrff {
 namespace {
-
-std::string Figure(const Json& value, const char* format) {
-  return value.is_number() ? fmt::format(fmt::runtime(format), value.get<double>()) : "–";
-}
 
 std::string BandText(const Json& band, const char* format) {
   if (!band.is_object()) return "–";
@@ -18,14 +15,26 @@ std::string BandText(const Json& band, const char* format) {
   return least == most ? mean : fmt::format("{} ({} to {})", mean, least, most);
 }
 
+// "small", or "small 2, tiny 1" where the machine's speed decided differently from run to run.
+std::string Presets(const Json& band) {
+  std::string text;
+  const Json& presets = At(band, "presets");
+  for (const auto& [name, n_runs] : presets.items()) {
+    text += fmt::format("{}{}{}", text.empty() ? "" : ", ", name,
+                        presets.size() > 1 ? fmt::format(" {}", n_runs.get<int>()) : "");
+  }
+  return text.empty() ? "–" : text;
+}
+
 std::string TrainingText(const Json& training) {
   std::string text = fmt::format(
       "\n## Training\n\nSeconds are of training alone; figures are means over all held-out views, renders of 16 bits; "
       "in brackets the least and the most of {} seeds.\n\n"
-      "| training, s | PSNR, dB | SSIM | LPIPS | steps | density evaluations |\n|---:|---:|---:|---:|---:|---:|\n",
+      "| training, s | preset | PSNR, dB | SSIM | LPIPS | steps | density evaluations |\n"
+      "|---:|---|---:|---:|---:|---:|---:|\n",
       training.at("seeds").get<int>());
   for (const Json& band : training.at("bands")) {
-    text += fmt::format("| {} | {} | {} | {} | {} | {} |\n", BandText(band.at("seconds"), "{:.1f}"),
+    text += fmt::format("| {} | {} | {} | {} | {} | {} | {} |\n", BandText(band.at("seconds"), "{:.1f}"), Presets(band),
                         BandText(band.at("psnr"), "{:.2f}"), BandText(band.at("ssim"), "{:.4f}"),
                         BandText(band.at("lpips"), "{:.4f}"), BandText(band.at("steps"), "{:.0f}"),
                         BandText(band.at("samples"), "{:.2e}"));
@@ -43,7 +52,8 @@ std::string RenderingText(const Json& rendering) {
   std::string text = fmt::format(
       "\n## Rendering\n\n{} held-out views of {} × {} px, {} threads. One setting is varied, nothing else is left out. "
       "The step's error is told from an eighth of the training's step ({} s a view), the others' from the same step "
-      "with every sample shaded; PSNR is to the photos. Bold: what nrff-render uses.\n\n"
+      "with every sample shaded; PSNR is to the photos. Bold: the value that nrff-render uses; the last rows have them "
+      "together.\n\n"
       "| setting | value | s a view | rms error | largest | samples a ray | shaded | PSNR, dB |\n"
       "|---|---:|---:|---:|---:|---:|---:|---:|\n",
       rendering.at("n_views").get<int>(), rendering.at("width").get<int>(), rendering.at("height").get<int>(),
@@ -92,8 +102,8 @@ std::string ScoringText(const Json& scoring) {
     text += fmt::format("| {}{} × {}{} | {} | {} | {} | {} | {} | {} |\n", bold, point.at("width").get<int>(),
                         point.at("height").get<int>(), bold, Figure(point.at("psnr"), "{:.2f}"),
                         Figure(point.at("ssim"), "{:.4f}"), Figure(point.at("lpips"), "{:.4f}"),
-                        Figure(seconds.at("psnr"), "{:.4f}"), Figure(seconds.at("ssim"), "{:.4f}"),
-                        Figure(seconds.at("lpips"), "{:.3f}"));
+                        Figure(seconds.at("psnr"), "{:.1e}"), Figure(seconds.at("ssim"), "{:.1e}"),
+                        Figure(seconds.at("lpips"), "{:.1e}"));
   }
   return text;
 }
@@ -105,7 +115,8 @@ std::string PosesText(const Json& poses) {
   std::string text =
       "\n## Poses\n\nEstimated from the photos alone and compared with the capture's own after a robust alignment; "
       "positions in % of the cameras' rms distance from their mean. AUC: area under the recall curve of relative poses "
-      "up to 5°, photos without a pose counted as misses. Seconds are of COLMAP. Bold: what `nrff run` begins with.\n\n"
+      "up to 5°, photos without a pose counted as misses. Seconds are of COLMAP. Bold: what `nrff run` begins with for "
+      "many photos in order.\n\n"
       "| photos, px | features | matching | s | registered | position, % | rotation, ° | AUC to 5° |\n"
       "|---:|---:|---|---:|---:|---:|---:|---:|\n";
   for (const Json& point : poses.at("points")) {
@@ -114,7 +125,7 @@ std::string PosesText(const Json& poses) {
                         point.at("features").get<int>(), bold, point.at("matching").get<std::string>(),
                         Figure(point.at("seconds"), "{:.1f}"));
     if (point.at("error").is_string()) {
-      text += fmt::format(" failed: {} ||||\n", point.at("error").get<std::string>());
+      text += fmt::format(" failed: {} ||||\n", CellText(point.at("error")));
       continue;
     }
     const Json& errors = point.at("errors");
@@ -127,15 +138,26 @@ std::string PosesText(const Json& poses) {
   return text;
 }
 
+// The options that make the measurement again.
+std::string Options(const Json& result) {
+  std::string parts, budgets;
+  for (const Json& part : result.at("parts")) parts += (parts.empty() ? "" : ",") + part.get<std::string>();
+  const Json& training = result.at("training");
+  if (!training.is_object()) return " --parts " + parts;
+  for (const Json& budget : training.at("budgets")) {
+    budgets += fmt::format("{}{}s", budgets.empty() ? "" : ",", budget.get<double>());
+  }
+  return fmt::format(" --parts {} --budgets {} --seeds {}", parts, budgets, training.at("seeds").get<int>());
+}
+
 }  // namespace
 
 std::string WorkPrecisionMarkdown(const Json& result) {
-  const Json& cpu = At(result.at("host"), "cpu");
   std::string text = fmt::format(
       "# Error against run time: {}\n\nnrff {}, {}, {}. Command: `nrff benchmark "
-      "work-precision WORKSPACE`.\n",
+      "work-precision WORKSPACE{}`.\n",
       result.at("name").get<std::string>(), result.at("version").get<std::string>(),
-      cpu.is_string() ? cpu.get<std::string>() : "unknown processor", result.at("date").get<std::string>());
+      CellText(At(result.at("host"), "cpu")), result.at("date").get<std::string>(), Options(result));
   if (result.at("training").is_object()) text += TrainingText(result.at("training"));
   if (result.at("rendering").is_object()) text += RenderingText(result.at("rendering"));
   if (result.at("quadrature").is_array()) text += QuadratureText(result.at("quadrature"));

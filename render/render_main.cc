@@ -100,7 +100,11 @@ void MeasureWorkPrecision(const Options& options, const Params& params) {
   const Scene scene = LoadScene(options.scene_dir);
   const ImagePack pack(options.scene_dir);
   const std::unique_ptr<LoadedModel> model = LoadModel(options.model_dir);
-  const std::vector<View> held_out = CaptureViews(scene, "test");
+  std::vector<View> held_out;
+  for (const int index : scene.ViewsOf(Split::kTest)) held_out.push_back(scene.views[index]);
+  if (held_out.empty()) {
+    throw InputError("the scene " + scene.name + " has no held-out view with a pose, so that no error can be measured");
+  }
   std::vector<View> views;
   std::vector<TrueColours> photos;
   const size_t n_views = std::min(held_out.size(), size_t(options.n_views));

@@ -29,7 +29,7 @@ struct RenderSource {
   const OccupancyGrid& occupancy;
   SceneMap map;
   RenderOptions options;
-  int bits = 8;  // of the colours: 8, or 16, with nothing left out that 8 would not show
+  int bits = 8;  // of the colours: 8, or 16 without the tolerance of colours that 8 hide
 };
 
 // Renders the views into `dir`. A view that an interrupted attempt finished there (dir/done/ID.json, written after its

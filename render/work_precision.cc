@@ -15,7 +15,7 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 constexpr double kLimitStepShare = 1.0 / 8;
-constexpr int kMostRepeats = 5;
+constexpr int kLeastRepeats = 3, kMostRepeats = 8;
 constexpr double kEnoughSeconds = 1;     // of one setting
 constexpr double kTinyTolerance = 1e-6;  // of colours: every sample is shaded, networks may round (bf16)
 
@@ -66,6 +66,16 @@ std::vector<Family> Families(const RenderOptions& trained) {
        {4. / 255, 2. / 255, 1. / 255, kEightBitTolerance, 0.25 / 255, kTinyTolerance, 0},
        kEightBitTolerance,
        [](RenderOptions& options, double value) { options.colour_tolerance = value; }},
+      {"as nrff-render",
+       "bits a colour",
+       "weight threshold, early stop and colour tolerance together",
+       false,
+       {8, 16},
+       8,
+       [trained](RenderOptions& options, double value) {
+         options = trained;
+         options.colour_tolerance = value == 8 ? kEightBitTolerance : 0;
+       }},
   };
 }
 
@@ -155,7 +165,7 @@ class Sweep {
     // The least of several times is what neighbours on the machine disturb least.
     std::vector<RenderedImage> images;
     double seconds = HUGE_VAL, total = 0;
-    for (int repeat = 0; repeat < kMostRepeats && total < kEnoughSeconds; ++repeat) {
+    for (int repeat = 0; repeat < kLeastRepeats || (repeat < kMostRepeats && total < kEnoughSeconds); ++repeat) {
       const Clock::time_point start = Clock::now();
       images = Render(options);
       const double once = SecondsSince(start);

@@ -1,5 +1,5 @@
-// Error against run time of what rendering leaves out, on real views: one setting is varied at a time, the others are
-// as the model was trained.
+// Error against run time of what rendering leaves out, on real views: one setting is varied at a time and nothing else
+// is left out; one family has them together, as nrff-render does.
 //
 // Two references, both with every sample shaded in float: `limit`, with an eighth of the step, and `exact`, with the
 // step of the setting at hand. The step's error is told from the first, the others' from the second.
@@ -19,9 +19,9 @@ struct TrueColours {
 
 // {n_views, reference_seconds: a view at the limit,
 //  families [{family, unit, meaning, reference: "limit" | "exact",
-//    points [{value, seconds: a view, least of up to 5 times, rmse, most: of RGB in [0, 1], psnr: to the photos, dB, or
+//    points [{value, seconds: a view, least of 3 to 8 times, rmse, most: of RGB in [0, 1], psnr: to the photos, dB, or
 //    null,
-//             samples_per_ray, shaded_per_ray, chosen: what nrff-render uses}]}]}
+//             samples_per_ray, shaded_per_ray, chosen: the value that nrff-render uses}]}]}
 // Points are from coarse to fine. `truth`: one per view. Shows progress.
 Json RenderingWorkPrecision(const RenderSource& source, const std::vector<View>& views,
                             const std::vector<TrueColours>& truth);

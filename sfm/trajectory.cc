@@ -10,6 +10,7 @@
 
 #include "pipeline/error.h"
 #include "pipeline/files.h"
+#include "pipeline/manifest.h"
 #include "sfm/colmap_model.h"
 #include "sfm/recognise.h"
 #include "sfm/source.h"
@@ -20,6 +21,8 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr double kRotationTolerance = 1e-3;
+constexpr double kPerturbedTolerance = 0.1;  // of the singular values of what is no rotation but was one
+constexpr double kMostPoses = 1e6;           // numbers of six digits
 
 // Rows of numbers, as a stream of tokens that knows its line.
 class Numbers {
@@ -70,12 +73,14 @@ Trajectory ReadLog(const fs::path& file) {
     const double index = numbers.Next();
     numbers.Next();
     numbers.Next();
-    if (index < 0 || index != std::floor(index)) numbers.Throw("expected the whole number of an image");
+    if (!(index >= 0 && index < kMostPoses) || index != std::floor(index)) {
+      numbers.Throw("expected the whole number of an image");
+    }
     const Eigen::Matrix4d world_from_camera = numbers.Matrix();
     const Eigen::Matrix3d rotation = world_from_camera.topLeftCorner<3, 3>();
     if (!IsScaledRotation(rotation, 1) || rotation.determinant() < 0) numbers.Throw("the pose holds no rotation");
     std::ostringstream name;
-    name << std::setw(6) << std::setfill('0') << int64_t(index);
+    name << '#' << std::setw(6) << std::setfill('0') << int64_t(index);
     trajectory.push_back(
         {name.str(), Eigen::Quaterniond(rotation).normalized(), world_from_camera.topRightCorner<3, 1>()});
   }
@@ -83,11 +88,12 @@ Trajectory ReadLog(const fs::path& file) {
   return trajectory;
 }
 
-Trajectory FromModel(const ColmapModel& model, const fs::path& where) {
+// `named_by_id`: the images are called by their ids, as inside artifacts.
+Trajectory FromModel(const ColmapModel& model, const fs::path& where, bool named_by_id = false) {
   Trajectory trajectory;
   for (const auto& [id, image] : model.images) {
-    trajectory.push_back(
-        {fs::path(image.name).replace_extension().string(), image.rotation.conjugate(), image.Center()});
+    const std::string name = fs::path(image.name).replace_extension().string();
+    trajectory.push_back({named_by_id ? "#" + name : name, image.rotation.conjugate(), image.Center()});
   }
   if (trajectory.empty()) throw InputError(EscapePath(where) + ": holds no posed image");
   return trajectory;
@@ -107,7 +113,11 @@ Trajectory ReadPoseFolder(const fs::path& dir) {
     const Eigen::JacobiSVD<Eigen::Matrix3d> svd(world_from_camera.topLeftCorner<3, 3>(),
                                                 Eigen::ComputeFullU | Eigen::ComputeFullV);
     const Eigen::Matrix3d rotation = svd.matrixU() * svd.matrixV().transpose();
-    if (rotation.determinant() < 0) numbers.Throw("the pose is mirrored");
+    if (!numbers.AtEnd()) numbers.Throw("found more than the 16 numbers of a 4×4 matrix");
+    if ((svd.singularValues() - Eigen::Vector3d::Ones()).cwiseAbs().maxCoeff() > kPerturbedTolerance ||
+        rotation.determinant() < 0) {
+      numbers.Throw("the pose's 3×3 part is no rotation");
+    }
     trajectory.push_back(
         {file.stem().string(), Eigen::Quaterniond(rotation).normalized(), world_from_camera.topRightCorner<3, 1>()});
   }
@@ -118,8 +128,11 @@ bool HoldsModel(const fs::path& dir) { return IsFile(dir / "images.bin") || IsFi
 
 Trajectory ReadFolder(const fs::path& path) {
   for (const fs::path& place : {path / "pose" / "sparse", path / "sparse", path}) {
-    const bool made_here = place == path || IsFile(path / kWorkspaceMarker) || IsFile(path / "manifest.json");
-    if (made_here && HoldsModel(place)) return FromModel(ReadColmapModel(place), place);
+    const bool is_artifact = IsFile(path / kManifestName);
+    const bool made_here = place == path || IsFile(path / kWorkspaceMarker) || is_artifact;
+    if (!made_here || !HoldsModel(place)) continue;
+    const std::optional<Manifest> manifest = is_artifact ? ReadManifest(path) : std::nullopt;
+    return FromModel(ReadColmapModel(place), place, manifest && manifest->kind != "pose");
   }
   if (Trajectory poses = ReadPoseFolder(path); !poses.empty()) return poses;
   const Source source = RecogniseCapture(path);
@@ -132,8 +145,10 @@ Trajectory ReadFolder(const fs::path& path) {
 
 }  // namespace
 
-Trajectory ReadTrajectory(const fs::path& path) {
-  if (!fs::exists(path)) throw InputError(EscapePath(path) + ": does not exist");
+Trajectory ReadTrajectory(const fs::path& given) {
+  if (!fs::exists(given)) throw InputError(EscapePath(given) + ": does not exist");
+  fs::path path = given.lexically_normal();
+  if (!path.has_filename()) path = path.parent_path();  // a slash at the end
   Trajectory trajectory = fs::is_directory(path) ? ReadFolder(path) : ReadLog(path);
   std::sort(trajectory.begin(), trajectory.end(),
             [](const TrajectoryPose& a, const TrajectoryPose& b) { return a.name < b.name; });

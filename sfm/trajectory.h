@@ -9,7 +9,9 @@
 namespace nrff {
 
 struct TrajectoryPose {
-  std::string name;             // of the photo: path without extension; of a .log its first number
+  // Of the photo: its path without extension. Where photos' names are not known, "#" and a number, which is no photo's:
+  // the first number of a .log's pose, the id in artifacts of ingest and sfm.
+  std::string name;
   Eigen::Quaterniond rotation;  // world_from_camera, OpenCV axes
   Eigen::Vector3d center;       // world units
 };
@@ -19,7 +21,7 @@ using Trajectory = std::vector<TrajectoryPose>;  // by name
 //   a .log file as Tanks & Temples has them: blocks of three whole numbers and a 4×4 world_from_camera
 //   a workspace, an artifact or a folder with a COLMAP model: that model
 //   a folder of .txt files with a 4×4 world_from_camera each, as NSVF's pose/: where its 3×3 part is no rotation to
-//   1e-3, as in data sets of perturbed poses, the nearest one
+//   1e-3, as in data sets of perturbed poses, the nearest one (to a tenth)
 //   a capture with poses (transforms.json, NSVF, COLMAP)
 // Throws InputError naming the file, the line and what was found: cut short, not finite, no rotation.
 Trajectory ReadTrajectory(const std::filesystem::path& path);

@@ -71,7 +71,10 @@ std::vector<double> Distances(const Similarity& similarity, const Centers& cente
 // Extents of the centres about their mean along their principal directions, descending.
 Eigen::Vector3d Extents(const Eigen::Matrix3Xd& centers) {
   const Eigen::Matrix3Xd centred = centers.colwise() - centers.rowwise().mean();
-  return Eigen::JacobiSVD<Eigen::Matrix3Xd>(centred).singularValues().head<3>();
+  const Eigen::VectorXd values = Eigen::JacobiSVD<Eigen::Matrix3Xd>(centred).singularValues();
+  Eigen::Vector3d extents = Eigen::Vector3d::Zero();  // two centres have two
+  extents.head(values.size()) = values;
+  return extents;
 }
 
 Similarity FromMatrix(const Eigen::Matrix4d& matrix) {
@@ -104,12 +107,17 @@ Similarity FromRotations(const Trajectory& estimated, const Trajectory& truth, c
     return median;
   };
   const Eigen::Vector3d from = middle(centers.estimated), to = middle(centers.truth);
+  struct Spread {
+    double median, rms;
+  };
   const auto spread = [](const Eigen::Matrix3Xd& points, const Eigen::Vector3d& about) {
     const Eigen::VectorXd distances = (points.colwise() - about).colwise().norm().transpose();
-    return Median({distances.begin(), distances.end()});
+    return Spread{Median({distances.begin(), distances.end()}), distances.norm()};
   };
-  const double wide = spread(centers.estimated, from);
-  if (wide > 0) similarity.scale = spread(centers.truth, to) / wide;
+  const Spread wide = spread(centers.estimated, from), true_wide = spread(centers.truth, to);
+  // Where more than half of the cameras stand at one point, the others tell.
+  const bool by_median = wide.median > 0 && true_wide.median > 0;
+  similarity.scale = by_median ? true_wide.median / wide.median : true_wide.rms / wide.rms;
   similarity.translation = to - similarity.scale * (similarity.rotation * from);
   return similarity;
 }
@@ -122,7 +130,7 @@ Similarity LeastMedian(const Centers& centers, const Similarity& start) {
     const Eigen::Vector3d extents = Extents(from);
     if (extents[1] <= kLineTolerance * extents[0]) return;
     const Eigen::Matrix4d matrix = Eigen::umeyama(from, to);
-    if (!matrix.allFinite() || !(matrix.topLeftCorner<3, 3>().determinant() > 0)) return;
+    if (!matrix.allFinite() || !(matrix.topLeftCorner<3, 3>().determinant() > 1e-30)) return;
     const Similarity similarity = FromMatrix(matrix);
     const double median = Median(Distances(similarity, centers));
     if (median < least) least = median, best = similarity;
@@ -217,6 +225,10 @@ struct RelativeErrors {
 
 RelativeErrors OfPairs(const Trajectory& estimated, const Trajectory& truth, const Matches& matches, double radius) {
   RelativeErrors errors;
+  double extent = 0;  // of the estimated centres
+  for (const TrajectoryPose& pose : estimated) {
+    extent = std::max(extent, (pose.center - estimated.front().center).norm());
+  }
   for (size_t i = 0; i < matches.pairs.size(); ++i) {
     for (size_t j = i + 1; j < matches.pairs.size(); ++j) {
       const TrajectoryPose &ei = estimated[matches.pairs[i].first], &ej = estimated[matches.pairs[j].first];
@@ -227,7 +239,9 @@ RelativeErrors OfPairs(const Trajectory& estimated, const Trajectory& truth, con
       errors.both.push_back(rotation);
       const Eigen::Vector3d true_baseline = ti.rotation.conjugate() * (tj.center - ti.center);
       if (true_baseline.norm() <= kPointTolerance * radius) continue;  // no direction to be wrong about
-      const double direction = AngleDegrees(ei.rotation.conjugate() * (ej.center - ei.center), true_baseline);
+      const Eigen::Vector3d baseline = ei.rotation.conjugate() * (ej.center - ei.center);
+      const bool collapsed = baseline.norm() <= kPointTolerance * extent;
+      const double direction = collapsed ? 180 : AngleDegrees(baseline, true_baseline);
       errors.direction.push_back(direction);
       errors.both.back() = std::max(rotation, direction);
     }
@@ -291,11 +305,15 @@ Eigen::Matrix4d AlignTrajectories(const Trajectory& estimated, const Trajectory&
   };
   const Frame from = normalise(centers.estimated, "estimated"), to = normalise(centers.truth, "true");
 
-  Similarity similarity = LeastMedian(centers, FromRotations(estimated, truth, matches, centers));
+  const Similarity from_rotations = FromRotations(estimated, truth, matches, centers);
+  Similarity similarity = LeastMedian(centers, from_rotations);
+  const auto deviation = [&] { return std::max(1.4826 * Median(Distances(similarity, centers)), 1e-12); };
   const Eigen::Vector3d extents = Extents(centers.truth);
-  const bool on_a_line = extents[1] <= kLineTolerance * extents[0];
+  const double width = extents[1] / std::sqrt(double(centers.truth.cols()));
+  const bool on_a_line = extents[1] <= kLineTolerance * extents[0] || width < 3 * deviation();
+  if (on_a_line) similarity = from_rotations;
   double log_scale = std::log(similarity.scale);
-  const double sigma = std::max(1.4826 * Median(Distances(similarity, centers)), 1e-12);
+  const double sigma = deviation();
   std::vector<double> angles;
   for (const auto& [e, t] : matches.pairs) {
     angles.push_back((similarity.rotation * estimated[e].rotation).angularDistance(truth[t].rotation));

@@ -26,7 +26,8 @@ struct Matches {
 Matches MatchPoses(const Trajectory& estimated, const Trajectory& truth);
 
 // truth_from_estimated, a 4×4 similarity. Throws InputError with fewer than two matches or where all true, or all
-// estimated, centres are one point. Centres on a line leave a rotation about it open: the cameras' own then decide.
+// estimated, centres are one point. Centres that lie on a line but for noise leave a rotation about it open: the
+// cameras' own then decide.
 Eigen::Matrix4d AlignTrajectories(const Trajectory& estimated, const Trajectory& truth, const Matches& matches);
 
 // Share of errors below a threshold, averaged over all thresholds up to `threshold`: the area under the recall curve.

@@ -101,7 +101,8 @@ TEST_F(BenchmarkTest, PublishedScenesAreKnownWhateverTheirCase) {
 
 TEST_F(BenchmarkTest, TheTableHasEveryFigureTheMeansAndWhatDiffers) {
   const fs::path barn = MakeWorkspace("barn", 30, 1920, 1080), fox = MakeWorkspace("fox", 20, 400, 225);
-  const Json table = BenchmarkTable(Named("tanks-and-temples"), root_, {barn, fox}, {{"budget", "60s"}});
+  const Json table = BenchmarkTable(Named("tanks-and-temples"), root_, {barn, fox},
+                                    "nrff benchmark tanks-and-temples DIR --budget 60s");
   EXPECT_EQ(table["mean"]["psnr"], 25);
   EXPECT_EQ(table["mean"]["ssim"], 0.75);
   EXPECT_TRUE(table["mean"]["lpips"].is_null());
@@ -125,7 +126,7 @@ TEST_F(BenchmarkTest, TheTableHasEveryFigureTheMeansAndWhatDiffers) {
   EXPECT_THAT(text, HasSubstr("| barn | 30.00 | 0.800 | – | 7 | 1920 × 1080 | 60.0 | 500 | small | 0.250 |"));
   EXPECT_THAT(text, HasSubstr("| **mean of 2** | 25.00 | 0.750 | – |"));
   EXPECT_THAT(text, HasSubstr("| NRFF, 60K steps | 29.05 | 0.931 | 0.119 |"));
-  EXPECT_THAT(text, HasSubstr("nrff benchmark tanks-and-temples --budget 60s"));
+  EXPECT_THAT(text, HasSubstr("Command: `nrff benchmark tanks-and-temples DIR --budget 60s`"));
 
   WriteBenchmark(root_, table);
   EXPECT_EQ(ReadJson(root_ / "benchmark.json"), table);
@@ -138,12 +139,14 @@ TEST_F(BenchmarkTest, ASceneWithoutFiguresIsLeftOutOfTheMeans) {
   const Workspace broken(root_ / "truck");
   broken.WriteMarker({"/data/truck", {}});
   broken.Record("ingest", {false, 3, "no photo | can be read"});
-  const Json table = BenchmarkTable(Named("tanks-and-temples"), root_, {barn, broken.root()}, Json::object());
+  const Json table = BenchmarkTable(Named("tanks-and-temples"), root_, {barn, broken.root()}, "");
   EXPECT_EQ(table["mean"]["psnr"], 30);
   EXPECT_EQ(table["mean"]["lpips"], 0.125);
   EXPECT_EQ(table["mean"]["n_scenes"], 1);
   EXPECT_EQ(table["scenes"][1]["status"], "failed");
   EXPECT_THAT(table["differences"].dump(), HasSubstr("LPIPS: vgg 0.1 (barn)"));
+  EXPECT_THAT(table["differences"].dump(), Not(HasSubstr("Background")));
+  EXPECT_THAT(table["differences"].dump(), Not(HasSubstr("0 images")));
   EXPECT_THAT(BenchmarkMarkdown(table), HasSubstr("| truck | failed: no photo \\| can be read |||"));
 }
 

@@ -480,7 +480,7 @@ TEST_F(DriverTest, BenchmarkRunsEverySceneAndGoesOnFromWhatIsThere) {
   table = ReadJson(root_ / "bench/benchmark.json");
   EXPECT_EQ(table["mean"]["psnr"], 21.5);
   EXPECT_EQ(table["scenes"].size(), 2);
-  EXPECT_EQ(table["options"], Json({{"bit-depth", "16"}, {"max-image-size", "1920"}}));
+  EXPECT_EQ(table["command"], "nrff benchmark tanks-and-temples DIR");
   EXPECT_EQ(RequireArtifact(root_ / "bench/Barn/render", "render").params.at("bit-depth"), "16");
   EXPECT_EQ(RequireArtifact(root_ / "bench/Barn/pose", "pose").params.at("max-image-size"), "1920");
   EXPECT_TRUE(fs::exists(root_ / "bench/benchmark.html"));
@@ -506,14 +506,14 @@ TEST_F(DriverTest, WorkPrecisionTrainsEveryBudgetAndSeedOnTheScenesOwnPoses) {
                                             "4s,2s,2s",  "--seeds",        "2"};
   const ProgramResult result = Nrff(command, posed);
   EXPECT_EQ(result.exit_code, 0) << result.err;
-  EXPECT_THAT(result.out, HasSubstr("| 2.0 | 21.50 | 0.7500 | – |"));
+  EXPECT_THAT(result.out, HasSubstr("| 2.0 | small | 21.50 | 0.7500 | – |"));
   EXPECT_THAT(result.out, HasSubstr("reaches 20 dB: 2 s."));
   EXPECT_THAT(result.out, HasSubstr("| step | **1** | 0.100 |"));
   std::vector<std::string> ran = Ran();
   EXPECT_EQ(std::count(ran.begin(), ran.end(), "train"), 4);
   EXPECT_EQ(std::count(ran.begin(), ran.end(), "rendering"), 1);
   EXPECT_EQ(std::count(ran.begin(), ran.end(), "scoring"), 1);
-  EXPECT_THAT(result.out, HasSubstr("| **8 × 6** | 30.50 | – | – | 0.2500 | – | – |"));
+  EXPECT_THAT(result.out, HasSubstr("| **8 × 6** | 30.50 | – | – | 2.5e-01 | – | – |"));
   EXPECT_EQ(std::count(ran.begin(), ran.end(), "ingest") + std::count(ran.begin(), ran.end(), "pose"), 0);
   const Json json = ReadJson(root_ / "work/work-precision/work_precision.json");
   EXPECT_EQ(json["training"]["bands"].size(), 2);
@@ -534,6 +534,29 @@ TEST_F(DriverTest, WorkPrecisionTrainsEveryBudgetAndSeedOnTheScenesOwnPoses) {
   EXPECT_EQ(Nrff({"benchmark", "work-precision", Path("fox")}, posed).exit_code, 3);
   EXPECT_EQ(Nrff({"benchmark", "work-precision", Path("work"), "--budgets", "soon"}, posed).exit_code, 2);
   EXPECT_EQ(Nrff({"benchmark", "work-precision", Path("work"), "--budgets", ","}, posed).exit_code, 2);
+}
+
+// Without poses of the capture's own, too: what was estimated once is not estimated again for every seed.
+TEST_F(DriverTest, WorkPrecisionTakesEstimatedPosesAsTheyAre) {
+  RunFox({"--until", "render"});
+  Ran();
+  const ProgramResult result =
+      Nrff({"benchmark", "work-precision", Path("work"), "--budgets", "2s", "--seeds", "2"}, {{"FAKE_PAYLOAD", "new"}});
+  EXPECT_EQ(result.exit_code, 0) << result.err;
+  const std::vector<std::string> ran = Ran();
+  EXPECT_EQ(std::count(ran.begin(), ran.end(), "train"), 2);
+  EXPECT_EQ(std::count(ran.begin(), ran.end(), "sfm") + std::count(ran.begin(), ran.end(), "pose"), 0);
+  EXPECT_THAT(result.out, HasSubstr("Not measured: the capture brings no poses"));
+  EXPECT_EQ(Nrff({"benchmark", "work-precision", Path("work"), "--parts", "training", "--budgets", "2s"}).exit_code, 0);
+}
+
+TEST_F(DriverTest, WorkPrecisionTellsWhatIsMissingBeforeItTrains) {
+  RunFox({"--until", "pose"});
+  Ran();
+  const ProgramResult result = Nrff({"benchmark", "work-precision", Path("work"), "--budgets", "2s"});
+  EXPECT_EQ(result.exit_code, 3);
+  EXPECT_THAT(result.err, HasSubstr("has no finished train yet"));
+  EXPECT_THAT(Ran(), IsEmpty());
 }
 
 TEST_F(DriverTest, WorkPrecisionEstimatesPosesThatTheCaptureBringsFromItsPhotosAlone) {

@@ -536,6 +536,9 @@ TEST_F(CompareTest, AlphaShowsTheBackgroundAndMasksLeaveOutPixels) {
   EXPECT_NEAR(black["metrics"]["psnr"], 20 * std::log10(255 / 127.0), 1e-9);
   EXPECT_EQ(black["protocol"]["background"], "black");
   EXPECT_NEAR(black["metrics"]["variants"]["psnr_foreground"], 20 * std::log10(255 / 127.0), 1e-9);
+  Write("masks/a.png", 1, 8, RightHalf);
+  const Json half = Compared("masks", Background::kBlack);  // the subject inside the mask alone
+  EXPECT_NEAR(half["metrics"]["variants"]["psnr_foreground"], 20 * std::log10(255 / 127.0), 1e-9);
 
   Write("truth/a.png", 3, 8, Grey);
   Write("rendered/a.png", 3, 8, Stripes);  // the right half is one level off

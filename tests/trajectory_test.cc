@@ -89,6 +89,32 @@ TEST(Alignment, OnALineTheCamerasRotationsDecide) {
   EXPECT_LT((Align(Transformed(two, similarity), two) * similarity - Eigen::Matrix4d::Identity()).norm(), tolerance);
 }
 
+TEST(Alignment, OnALineButForNoiseTheCamerasRotationsDecide) {
+  Trajectory truth = Random(30, 14), estimated;
+  std::mt19937 random(15);
+  for (size_t i = 0; i < truth.size(); ++i) {
+    truth[i].center = double(i) * Eigen::Vector3d(1, 2, -1) + 1e-4 * RandomVector(random);
+  }
+  estimated = truth;
+  for (TrajectoryPose& pose : estimated) pose.center += 1e-2 * RandomVector(random);
+  EXPECT_LT(TrajectoryErrors(estimated, truth)["rotation_deg"]["max"], 0.2);
+}
+
+TEST(Alignment, WhereMostCamerasStandAtOnePointTheOthersTell) {
+  Trajectory truth = Random(20, 16);
+  for (size_t i = 0; i < 12; ++i) truth[i].center = {1, 2, 3};
+  std::mt19937 random(17);
+  const Eigen::Matrix4d similarity = SimilarityOf(3, RandomRotation(random), RandomVector(random));
+  const Json errors = TrajectoryErrors(Transformed(truth, similarity), truth);
+  EXPECT_LT(errors["position"]["max"], 1e-9);
+  EXPECT_LT(errors["rotation_deg"]["max"], 1e-5);
+  // An estimate that leaves cameras at one point has no direction between them.
+  Trajectory collapsed = Random(6, 18);
+  const Trajectory apart = collapsed;
+  collapsed[1].center = collapsed[0].center;
+  EXPECT_EQ(TrajectoryErrors(collapsed, apart)["relative_deg"]["direction"]["max"], 180);
+}
+
 TEST(Alignment, AMirroredWorldIsNoSimilarityButHasFiniteErrors) {
   const Trajectory truth = Random(20, 8);
   Trajectory mirrored = truth;
@@ -179,7 +205,7 @@ TEST(TrajectoryFiles, LogsComeBackAsTheyWere) {
     EXPECT_EQ(read[i].center, truth[i].center);
     EXPECT_LT(read[i].rotation.angularDistance(truth[i].rotation), 1e-15);
   }
-  EXPECT_EQ(read[11].name, "000011");
+  EXPECT_EQ(read[11].name, "#000011");
   // Through a COLMAP model, too.
   ColmapModel model;
   model.cameras[1] = {1, CameraModel::kSimplePinhole, 10, 10, {5, 5, 5}};
@@ -217,7 +243,7 @@ TEST(TrajectoryFiles, DamagedOnesAreInputErrorsThatNameThePlace) {
   EXPECT_THAT(refusal(good + "1 1 0\n1 0 0", ReadTrajectory), HasSubstr("line 7: the file ends"));
   EXPECT_THAT(refusal("0 0 0\n1 0 nan 4\n", ReadTrajectory), HasSubstr("line 2: found \"nan\""));
   EXPECT_THAT(refusal("0 0 0\n2 0 0 4\n0 1 0 5\n0 0 1 6\n0 0 0 1\n", ReadTrajectory), HasSubstr("no rotation"));
-  EXPECT_THAT(refusal(good + good, ReadTrajectory), HasSubstr("two poses are called 000000"));
+  EXPECT_THAT(refusal(good + good, ReadTrajectory), HasSubstr("two poses are called #000000"));
   EXPECT_THAT(refusal("-1" + good, ReadTrajectory), HasSubstr("whole number"));
   EXPECT_THAT(refusal("1 0 0 1 0 2 0 1 0 0 1 1 0 0 0 1", ReadSimilarity), HasSubstr("is no similarity"));
   EXPECT_THAT(refusal("1 0 0 1 0 1 0 1 0 0 -1 1 0 0 0 1", ReadSimilarity), HasSubstr("is no similarity"));
@@ -236,8 +262,24 @@ TEST(TrajectoryFiles, FoldersOfMatricesGetTheNearestRotation) {
   EXPECT_EQ(read[0].name, "0_a");
   EXPECT_LT(read[0].rotation.angularDistance(Eigen::Quaterniond::Identity()), 1e-12);
   EXPECT_EQ(read[1].center, Eigen::Vector3d(1, 2, 3));
-  WriteFileAtomically(first, "1 0 0 4\n0 1 0 5\n0 0 -1 6\n0 0 0 1\n");
-  EXPECT_THROW(ReadTrajectory(directory.path() / "pose"), Error);
+  for (const char* no_rotation : {"1 0 0 4 0 1 0 5 0 0 -1 6 0 0 0 1", "0 0 0 4 0 0 0 5 0 0 0 6 0 0 0 1"}) {
+    WriteFileAtomically(first, no_rotation);
+    EXPECT_THROW(ReadTrajectory(directory.path() / "pose"), Error);
+  }
+  WriteFileAtomically(first, "1 0 0 4\n0 1 0 5\n0 0 1 6\n0 0 0 1\n");
+  EXPECT_EQ(ReadTrajectory(directory.path() / "pose/").size(), 2);
+}
+
+// A .log's numbers are no photos' names, however alike they look.
+TEST(TrajectoryFiles, NumbersOfALogAreNotTakenForPhotosNames) {
+  const TemporaryDirectory directory;
+  const Trajectory truth = Random(5, 13);
+  WriteTrajectoryLog(truth, directory.path() / "poses.log");
+  Trajectory photos = truth;
+  for (size_t i = 0; i < photos.size(); ++i) photos[i].name = "00000" + std::to_string(i + 1);
+  const Matches matches = MatchPoses(ReadTrajectory(directory.path() / "poses.log"), photos);
+  EXPECT_EQ(matches.by, "order");
+  EXPECT_EQ(matches.pairs.size(), 5);
 }
 
 // The trajectory and its transform that Tanks & Temples publishes for Ignatius.

@@ -1,6 +1,5 @@
 // One row per scene, then the published means.
 const {data_set: dataSet, scenes, mean, published, missing} = DATA;
-const options = Object.entries(DATA.options).map(([name, value]) => `--${name} ${value}`).join(" ");
 byId("lead").textContent = [
   `${mean.n_scenes} of ${scenes.length} scenes scored`, ...(isNumber(mean.psnr) ? [`mean ${format.psnr(mean.psnr)} dB`] : []),
   `nrff ${DATA.version}`, DATA.host?.cpu, DATA.date].filter(Boolean).join(" · ");
@@ -30,7 +29,7 @@ byId("scenes").append(makeTable([
 const everyScene = missing.length === 0 && scenes.every((scene) => scene.published && isNumber(scene.psnr));
 byId("published-hint").textContent = `Published means are over ${dataSet.scenes.join(", ")}. `
   + (everyScene ? "Ours is over the same scenes." : "Ours is over the scenes above: the two cannot be compared as they stand.");
-const ours = {method: "nrff, this run", ...mean, training: `${format.seconds(mean.training_seconds)} a scene`, source: options, own: true};
+const ours = {method: "nrff, this run", ...mean, training: `${format.seconds(mean.training_seconds)} a scene`, source: DATA.command, own: true};
 byId("published").append(makeTable([
   {label: "Method", value: (row) => row.method, cell: (row) => (row.own ? el("strong", {}, row.method) : row.method)},
   {label: "PSNR (dB)", number: true, value: (row) => row.psnr, cell: (row) => format.psnr(row.psnr)},

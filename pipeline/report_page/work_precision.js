@@ -3,6 +3,9 @@ const {training, rendering, quadrature, scoring, poses} = DATA;
 byId("lead").textContent = [`nrff ${DATA.version}`, DATA.host?.cpu, DATA.date].filter(Boolean).join(" · ");
 for (const part of ["training", "rendering", "quadrature", "scoring", "poses"]) byId(part).hidden = !DATA[part];
 
+// Where the machine's speed decided differently from run to run, how often each.
+const presets = (row) => Object.entries(row.presets ?? {}).map(([name, n], i, all) => (all.length > 1 ? `${name} ${n}` : name)).join(", ");
+
 function showTraining() {
   const seeds = training.seeds === 1 ? "one seed" : `${training.seeds} seeds`;
   byId("training-hint").textContent = `Held-out figures after so many seconds of training alone, evaluation not counted; ${seeds}, the band from the least to the most.`;
@@ -12,7 +15,7 @@ function showTraining() {
     const points = reached.filter((band) => band[key]).map((band) => ({
       x: band.seconds.mean, y: error(band[key].mean), low: Math.min(error(band[key].least), error(band[key].most)),
       high: Math.max(error(band[key].least), error(band[key].most)),
-      label: [[title, band[key].mean.toFixed(digits)], ["training", format.seconds(band.seconds.mean)], ["steps", format.count(Math.round(band.steps.mean))]]}));
+      label: [[title, band[key].mean.toFixed(digits)], ["training", format.seconds(band.seconds.mean)], ["preset", presets(band)], ["steps", format.count(Math.round(band.steps.mean))]]}));
     return points.length > 0 ? makeLogPlot([{name: title, points}], {title, x: "training time (s)", y, linear}) : null;
   };
   byId("training-plots").append(...[
@@ -22,6 +25,7 @@ function showTraining() {
   const band = (value, show) => (!value ? DASH : value.least === value.most ? show(value.mean) : `${show(value.mean)} (${show(value.least)} to ${show(value.most)})`);
   byId("training-table").append(makeTable([
     {label: "Training", number: true, value: (row) => row.budget_seconds, cell: (row) => format.seconds(row.seconds?.mean)},
+    {label: "Preset", value: (row) => presets(row)},
     {label: "PSNR (dB)", number: true, value: (row) => row.psnr?.mean, cell: (row) => band(row.psnr, format.psnr)},
     {label: "SSIM", number: true, value: (row) => row.ssim?.mean, cell: (row) => band(row.ssim, format.ssim)},
     {label: "LPIPS", number: true, value: (row) => row.lpips?.mean, cell: (row) => band(row.lpips, format.ssim)},
@@ -34,7 +38,7 @@ function showTraining() {
 
 function showRendering() {
   byId("rendering-hint").textContent = `${rendering.n_views} held-out views of ${rendering.width} × ${rendering.height} px, ${rendering.threads} threads. `
-    + "One setting is varied, nothing else is left out. The large point is what nrff-render uses. The step's error is told from an eighth of the training's step, the others' from the same step with every sample shaded. A point without error lies on the lower edge.";
+    + "One setting is varied, nothing else is left out. The large point is the value that nrff-render uses; the last plot has them together. The step's error is told from an eighth of the training's step, the others' from the same step with every sample shaded. A point without error lies on the lower edge.";
   const setting = (family, point) => (family.family === "colour tolerance" && point.value > 0 ? `${Number((point.value * 255).toPrecision(2))}/255` : shortNumber(point.value));
   const floor = 1e-7;
   byId("rendering-plots").append(...rendering.families.map((family) => makeLogPlot([{name: family.family,
@@ -79,7 +83,7 @@ function showScoring() {
 
 function showPoses() {
   byId("poses-hint").textContent = poses.reason ? `Not measured: ${poses.reason}.`
-    : "Estimated from the photos alone and compared with the capture's own after a robust alignment; positions in % of the cameras' rms distance from their mean. AUC: area under the recall curve of relative poses up to 5°, photos without a pose counted as misses. The large point is what nrff run begins with.";
+    : "Estimated from the photos alone and compared with the capture's own after a robust alignment; positions in % of the cameras' rms distance from their mean. AUC: area under the recall curve of relative poses up to 5°, photos without a pose counted as misses. The large point is what nrff run begins with for many photos in order.";
   if (poses.points.length === 0) return;
   const text = (point) => `${point.image_size} px, ${point.features} features, ${point.matching}`;
   const good = poses.points.filter((point) => point.errors && isNumber(point.seconds));

@@ -1,0 +1,16 @@
+// Cells of Markdown tables.
+#pragma once
+
+#include <string>
+
+#include "pipeline/json.h"
+
+namespace nrff {
+
+// The number in fmt's `format`; a dash where there is none.
+std::string Figure(const Json& value, const char* format);
+
+// Text that a cell can hold; a dash for nothing.
+std::string CellText(const Json& value);
+
+}  // namespace nrff
