@@ -117,6 +117,15 @@ void NormaliseNormals(RenderedImage& image) {
 
 }  // namespace
 
+RenderOptions PictureOptions(RenderOptions trained, int bits) {
+  constexpr double kSixteenBitStep = 1.0 / 65535;
+  const bool eight = bits == 8;
+  trained.colour_tolerance = eight ? kEightBitTolerance : 0;
+  trained.weight_threshold = eight ? 0 : kSixteenBitStep;
+  trained.stop_transmittance = kSixteenBitStep;  // with 8 bits the tolerance ends rays before
+  return trained;
+}
+
 RenderedImage RenderImage(const RadianceField& field, const OccupancyGrid& occupancy, const SceneMap& map,
                           const View& view, const RenderOptions& options, const TileProgress& progress) {
   CheckOptions(options);

@@ -22,6 +22,10 @@ struct RenderedImage {
 // RenderOptions::colour_tolerance of pictures to be written with 8 bits: half a step of theirs.
 inline constexpr double kEightBitTolerance = 0.5 / 255;
 
+// Options for pictures to be written with `bits` of 8 or 16. Training's thresholds are too coarse for them: under the
+// tolerance of 8 bits they save no time but are off by up to 0.09 (tests/bench/results/work_precision_fox.md).
+RenderOptions PictureOptions(RenderOptions trained, int bits);
+
 // Called after every tile with the number of rays done so far.
 using TileProgress = std::function<void(int64_t n_rays_done)>;
 

@@ -90,8 +90,7 @@ RenderFacts RenderViews(const RenderSource& source, const std::vector<View>& vie
   std::filesystem::create_directories(dir / "done");
   const double depth_range = DepthRange(source);
 
-  RenderOptions options = source.options;
-  options.colour_tolerance = source.bits == 8 ? kEightBitTolerance : 0;
+  const RenderOptions options = PictureOptions(source.options, source.bits);
 
   Progress progress("rendering", static_cast<double>(views.size()), "views");
   RenderFacts facts;

@@ -45,6 +45,8 @@ RenderOptions Exact(RenderOptions options) {
 }
 
 std::vector<Family> Families(const RenderOptions& trained) {
+  const RenderOptions pictures = PictureOptions(trained, 8);
+  const double picture_stop = std::max(pictures.stop_transmittance, 0.5 * pictures.colour_tolerance);
   return {
       {"step",
        "of the training's step",
@@ -54,10 +56,10 @@ std::vector<Family> Families(const RenderOptions& trained) {
        1,
        [](RenderOptions& options, double value) { options.step *= value; }},
       {"weight threshold", "of a ray's light", "samples of less weight are not shaded", false,
-       With(trained.weight_threshold, {1e-1, 3e-2, 1e-2, 1e-3, 1e-4, 1e-5, 0}), trained.weight_threshold,
+       With(trained.weight_threshold, {1e-1, 3e-2, 1e-2, 1e-3, 1e-4, 1e-5, 0}), pictures.weight_threshold,
        [](RenderOptions& options, double value) { options.weight_threshold = value; }},
       {"early stop", "of a ray's light", "a ray ends where less is left", false,
-       With(trained.stop_transmittance, {0.3, 0.1, 3e-2, 1e-2, 1e-3, 1e-4, 1e-6, 0}), trained.stop_transmittance,
+       With(picture_stop, {0.3, 0.1, 3e-2, 1e-2, 1e-4, 1e-6, 0}), picture_stop,
        [](RenderOptions& options, double value) { options.stop_transmittance = value; }},
       {"colour tolerance",
        "of 1",
@@ -72,10 +74,7 @@ std::vector<Family> Families(const RenderOptions& trained) {
        false,
        {8, 16},
        8,
-       [trained](RenderOptions& options, double value) {
-         options = trained;
-         options.colour_tolerance = value == 8 ? kEightBitTolerance : 0;
-       }},
+       [trained](RenderOptions& options, double value) { options = PictureOptions(trained, int(value)); }},
   };
 }
 

@@ -122,6 +122,54 @@ TEST_F(PosedPipeline, ScoresHeldOutViewsAndReportsAllOfIt) {
   EXPECT_GT(fs::file_size(workspace_ / "report" / "report.html"), 10'000u);
 }
 
+TEST_F(PosedPipeline, ErrorAgainstTimeIsMeasuredOnTheScenesOwnModelAndRenders) {
+  Nrff(Run({"--steps", "100"}));
+  const Json result = NrffJson({"benchmark", "work-precision", workspace_, "--parts", "training,rendering,scoring",
+                                "--budgets", "2s", "--seeds", "1"});
+  const Json& band = result.at("training").at("bands").at(0);
+  EXPECT_GT(band.at("psnr").at("mean"), 10);
+  EXPECT_EQ(band.at("presets").size(), 1);
+  EXPECT_NEAR(band.at("seconds").at("mean").get<double>(), 2, 1);
+
+  std::map<std::string, Json> families;
+  for (const Json& family : result.at("rendering").at("families")) {
+    families[family.at("family")] = family.at("points");
+    const auto chosen = [](const Json& point) { return point.at("chosen").get<bool>(); };
+    EXPECT_EQ(std::count_if(family.at("points").begin(), family.at("points").end(), chosen), 1) << family;
+  }
+  ASSERT_EQ(families.size(), 5u);
+  for (const char* family : {"weight threshold", "early stop", "colour tolerance"}) {
+    // From coarse to fine; with nothing left out there is no error.
+    EXPECT_EQ(families[family].back().at("rmse"), 0) << family;
+    EXPECT_GT(families[family].front().at("rmse"), families[family].back().at("rmse")) << family;
+  }
+  EXPECT_GT(families["step"].front().at("rmse"), families["step"].back().at("rmse"));
+  EXPECT_GT(families["as nrff-render"].front().at("psnr"), 10);
+
+  const Json& scoring = result.at("scoring").back();
+  EXPECT_EQ(scoring.at("width"), 64);
+  EXPECT_NEAR(scoring.at("psnr"), Summary().at("metrics").at("psnr"), 1e-9);
+  EXPECT_NEAR(scoring.at("ssim"), Summary().at("metrics").at("ssim"), 1e-9);
+  EXPECT_GT(fs::file_size(workspace_ / "work-precision/work_precision.html"), 10'000u);
+
+  // The poses that people are given are those that the capture brought.
+  const ProgramResult compared =
+      RunProgram({"nrff-pose", "compare", "--estimated", workspace_.string(), "--truth", capture_.string(), "--json"});
+  const Json errors = Json::parse(compared.out);
+  EXPECT_EQ(errors.at("n_matched"), 17);
+  EXPECT_LT(errors.at("position").at("max"), 1e-6);
+}
+
+TEST_F(PosedPipeline, SixteenBitsShowWhatEightRound) {
+  Nrff(Run({"--steps", "30", "--bit-depth", "16"}));
+  const Json metrics = ReadJson(workspace_ / "eval/metrics.json");
+  EXPECT_EQ(metrics.at("protocol").at("bits").at("rendered"), 16);
+  const double stored = metrics.at("metrics").at("psnr"),
+               rounded = metrics.at("metrics").at("variants").at("psnr_quantised");
+  EXPECT_NE(stored, rounded);
+  EXPECT_NEAR(stored, rounded, 0.1);
+}
+
 TEST_F(PosedPipeline, RunsAgainOnlyWhatItMust) {
   Nrff(Run());
   const Json again = NrffJson(Run()).at("captures")[0];

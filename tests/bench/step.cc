@@ -205,6 +205,7 @@ class Bench {
   // As nrff-render does.
   RenderedImage Render(double colour_tolerance = kEightBitTolerance) const {
     RenderOptions options = options_;
+    if (colour_tolerance == kEightBitTolerance) options = PictureOptions(options, 8);
     options.colour_tolerance = colour_tolerance;
     return RenderImage(*model_->field, model_->occupancy, model_->map, view_, options);
   }
