@@ -115,7 +115,7 @@ std::vector<BranchResult> RunRequests(const std::vector<BranchRequest>& requests
     request.workspace.WriteMarker({request.capture, request.options});
     nodes.push_back(FirstNode(request, machine));
   }
-  const std::vector<BranchResult> results = RunBranches(requests, std::move(nodes), machine, verbosity);
+  std::vector<BranchResult> results = RunBranches(requests, std::move(nodes), machine, verbosity);
   ReportFailures(results);
   return results;
 }

@@ -177,7 +177,7 @@ void WriteTrajectoryLog(const Trajectory& trajectory, const fs::path& file) {
 
 Eigen::Matrix4d ReadSimilarity(const fs::path& file) {
   Numbers numbers(file);
-  const Eigen::Matrix4d matrix = numbers.Matrix();
+  Eigen::Matrix4d matrix = numbers.Matrix();
   if (!numbers.AtEnd()) numbers.Throw("found more than the 16 numbers of a 4×4 matrix");
   const Eigen::Matrix3d linear = matrix.topLeftCorner<3, 3>();
   if (!IsScaledRotation(linear, std::cbrt(linear.determinant())) ||
