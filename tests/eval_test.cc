@@ -512,7 +512,7 @@ double Grey(size_t) { return 128 / 255.0; }
 double Stripes(size_t i) { return double(i % 42 < 21 ? 128 : 129) / 255; }
 double FinerStripes(size_t i) { return i % 42 < 21 ? 128 / 255.0 : 128 / 255.0 + 0.001; }
 double HalfAlpha(size_t i) { return i % 4 == 3 ? 127.5 / 255 : 1; }
-double Opaque(size_t i) { return i % 4 == 3 ? 1 : 1; }
+double Opaque(size_t) { return 1; }
 double RightHalf(size_t i) { return i % 14 < 7 ? 0 : 1; }
 
 TEST_F(CompareTest, SixteenBitsAreNotRoundedAndTheRoundedFigureIsGivenToo) {
