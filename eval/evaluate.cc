@@ -116,7 +116,9 @@ std::map<std::string, fs::path> ImagesByStem(const fs::path& folder) {
                        " differ in their extensions alone; remove one of them.");
     }
   }
-  if (images.empty()) throw InputError(EscapePath(folder) + " holds no images (PNG, JPEG, TIFF, WebP).");
+  if (images.empty())
+    throw InputError(EscapePath(folder) +
+                     " holds no images (PNG, JPEG, TIFF, WebP); give the folder that they lie in.");
   return images;
 }
 

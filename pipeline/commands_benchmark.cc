@@ -25,7 +25,8 @@ struct Options {
   bool dry_run = false;
 };
 
-// The command line as it was given, without what is a place on this machine: DIR stands for the data set.
+// The command line as it was given, without what is a place on this machine: DIR stands for the data set, files are
+// named without their folders.
 std::string CommandLine(const std::string& dir) {
   std::istringstream arguments(ReadFile("/proc/self/cmdline"));
   std::string text = "nrff", argument;
@@ -36,7 +37,13 @@ std::string CommandLine(const std::string& dir) {
       continue;
     }
     if (argument.starts_with("--workspace=") || argument.starts_with("-w")) continue;
-    if (argument == dir) argument = "DIR";
+    const size_t value = argument.starts_with("--") ? argument.find('=') + 1 : 0;  // npos + 1 is 0
+    const size_t slash = argument.rfind('/');
+    if (argument == dir) {
+      argument = "DIR";
+    } else if (slash != std::string::npos) {
+      argument.erase(value, slash + 1 - value);
+    }
     const bool plain = argument.find_first_of(" '\"$`|*?\\") == std::string::npos;
     text += plain ? " " + EscapePath(argument) : " '" + EscapePath(argument) + "'";
   }

@@ -49,10 +49,10 @@ const std::vector<DataSet>& DataSets() {
        1080,
        "names that begin with 2_, or with 1_ where there are none",
        "white",
-       {{"NRFF, 60K steps", 29.05, 0.931, 0.119, "V100", kPaper},
-        {"NRFF, 30K steps", 28.87, {}, {}, "V100", kPaper},
+       {{"NRFF, 60K steps", 29.05, 0.931, 0.119, "", kPaper},
+        {"NRFF, 30K steps", 28.87, {}, {}, "", kPaper},
         {"ngp_pl", 28.78, {}, {}, "", "its README"},
-        {"TensoRF", 28.56, {}, {}, "V100", kTensoRf},
+        {"TensoRF", 28.56, {}, {}, "", kTensoRf},
         {"NSVF", 28.48, {}, {}, "", "Liu et al., NeurIPS 2020"},
         {"DVGO", 28.41, {}, {}, "", "Sun et al., CVPR 2022"}}},
       {"nerf-synthetic",
@@ -82,8 +82,8 @@ const std::vector<DataSet>& DataSets() {
        "names that begin with 2_",
        "white",
        {{"RayGaussX", 38.85, {}, {}, "", "its README"},
-        {"NRFF, 60K steps", 38.25, {}, {}, "V100", kPaper},
-        {"TensoRF", 36.52, {}, {}, "V100", kTensoRf}}},
+        {"NRFF, 60K steps", 38.25, {}, {}, "", kPaper},
+        {"TensoRF", 36.52, {}, {}, "", kTensoRf}}},
       {"llff",
        "LLFF (forward-facing)",
        {"fern", "flower", "fortress", "horns", "leaves", "orchids", "room", "trex"},
@@ -93,7 +93,7 @@ const std::vector<DataSet>& DataSets() {
        756,
        "the first of every eight by file name",
        "none",
-       {{"TensoRF", 26.73, {}, {}, "V100", kTensoRf}}},
+       {{"TensoRF", 26.73, {}, {}, "", kTensoRf}}},
   };
   return data_sets;
 }

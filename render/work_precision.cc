@@ -96,7 +96,6 @@ struct Difference {
 class MeanPsnr {
  public:
   void Add(const RenderedImage& image, const TrueColours& truth) {
-    if (truth.rgb.empty()) return;
     Difference difference;
     std::vector<float> shown(image.rgb);
     for (float& value : shown) value = std::clamp(value, 0.F, 1.F);
@@ -104,7 +103,7 @@ class MeanPsnr {
     sum_ += -10 * std::log10(std::max(difference.MeanSquare(), 1e-20));
     ++n_;
   }
-  Json ToJson() const { return n_ == 0 ? Json() : Json(sum_ / n_); }
+  double Value() const { return sum_ / n_; }
 
  private:
   double sum_ = 0;
@@ -185,7 +184,7 @@ class Sweep {
             {"seconds", seconds},
             {"rmse", std::sqrt(difference.MeanSquare())},
             {"most", difference.most},
-            {"psnr", psnr.ToJson()},
+            {"psnr", psnr.Value()},
             {"samples_per_ray", n_samples / n_rays},
             {"shaded_per_ray", n_shaded / n_rays},
             {"chosen", value == family.chosen}};

@@ -12,7 +12,7 @@
 
 namespace nrff {
 
-// What a view's photo shows, for the error that people see; nothing where there is none.
+// What a view's photo shows, for the error that people see.
 struct TrueColours {
   std::vector<float> rgb;  // [height, width, 3] in [0, 1], composited on the background
 };

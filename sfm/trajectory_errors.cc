@@ -341,7 +341,9 @@ Eigen::Matrix4d AlignTrajectories(const Trajectory& estimated, const Trajectory&
   options.logging_type = ceres::SILENT;
   ceres::Solver::Summary summary;
   ceres::Solve(options, &problem, &summary);
-  if (!summary.IsSolutionUsable()) throw InputError("The trajectories could not be aligned: " + summary.message);
+  if (!summary.IsSolutionUsable())
+    throw InputError("The trajectories could not be aligned (" + summary.message +
+                     "); check that their poses are of the same photos.");
   similarity.scale = std::exp(log_scale);
   similarity.rotation.normalize();
 

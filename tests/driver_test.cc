@@ -1,4 +1,4 @@
-// The driver as users run it: real processes, with stages that stand in for the real ones (fake_stage.cc).
+// The driver with stages that stand in for the real ones.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <signal.h>
@@ -19,97 +19,15 @@
 #include "pipeline/manifest.h"
 #include "pipeline/progress_view.h"
 #include "pipeline/workspace.h"
-#include "tests/program.h"
-#include "tests/temporary_directory.h"
+#include "tests/driver_fixture.h"
 
 namespace nrff {
 namespace {
 
-namespace fs = std::filesystem;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::Not;
-
-class DriverTest : public ::testing::Test {
- protected:
-  DriverTest() {
-    fs::create_directories(root_ / "bin");
-    fs::copy_file(fs::path(NRFF_BIN_DIR) / "nrff", root_ / "bin" / "nrff");
-    for (const char* stage : {"nrff-ingest", "nrff-pose", "nrff-train", "nrff-render", "nrff-eval"}) {
-      fs::create_symlink(fs::canonical("/proc/self/exe").parent_path() / "fake_stage", root_ / "bin" / stage);
-    }
-    MakeCapture("fox");
-  }
-
-  fs::path MakeCapture(const std::string& name) {
-    fs::create_directories(root_ / name);
-    WriteFileAtomically(root_ / name / "photo.jpg", name);
-    return root_ / name;
-  }
-
-  std::vector<std::string> CommandOf(std::vector<std::string> arguments) const {
-    arguments.insert(arguments.begin(), (root_ / "bin" / "nrff").string());
-    return arguments;
-  }
-
-  ProgramOptions Options(std::map<std::string, std::string> environment) const {
-    environment.emplace("FAKE_LOG", (root_ / "runs").string());
-    return {environment};
-  }
-
-  ProgramResult Nrff(const std::vector<std::string>& arguments,
-                     const std::map<std::string, std::string>& environment = {}) {
-    return RunProgram(CommandOf(arguments), Options(environment));
-  }
-
-  // `nrff run fox` with these arguments besides.
-  ProgramResult RunFox(std::vector<std::string> arguments = {},
-                       const std::map<std::string, std::string>& environment = {}) {
-    arguments.insert(arguments.begin(), {"run", Path("fox"), "--workspace", Path("work")});
-    return Nrff(arguments, environment);
-  }
-
-  std::string Path(const std::string& name) const { return (root_ / name).string(); }
-
-  // The stages that ran since this was last asked, without the branch.
-  std::vector<std::string> Ran() {
-    std::vector<std::string> stages;
-    std::ifstream file(root_ / "runs");
-    for (std::string line; std::getline(file, line);) {
-      if (line.find('/') != std::string::npos) stages.push_back(line.substr(line.find('/') + 1));
-    }
-    file.close();
-    fs::remove(root_ / "runs");
-    return stages;
-  }
-
-  // The process that hangs, once it does.
-  pid_t WaitUntilHanging() const {
-    for (int i = 0; i < 400; ++i) {
-      std::ifstream file(root_ / "runs");
-      for (std::string line; std::getline(file, line);) {
-        if (line.starts_with("hanging ")) return std::stoi(line.substr(8));
-      }
-      std::this_thread::sleep_for(std::chrono::milliseconds(25));
-    }
-    ADD_FAILURE() << "no stage came to hang";
-    return 0;
-  }
-
-  static bool IsGone(pid_t pid) {
-    for (int i = 0; i < 200; ++i) {
-      std::ifstream stat("/proc/" + std::to_string(pid) + "/stat");
-      std::string text;
-      if (!std::getline(stat, text) || text.substr(text.rfind(')') + 2, 1) == "Z") return true;
-      std::this_thread::sleep_for(std::chrono::milliseconds(25));
-    }
-    return false;
-  }
-
-  TemporaryDirectory directory_;
-  const fs::path root_ = fs::canonical(directory_.path());
-};
 
 TEST_F(DriverTest, RunsEveryStageOnceAndReusesAllOfThemAfterwards) {
   const ProgramResult first = RunFox();
@@ -456,129 +374,6 @@ TEST_F(DriverTest, HelpFitsAScreenAndShowsAnExample) {
     for (std::string line; std::getline(lines, line); ++n_lines) EXPECT_LE(line.size(), 80u) << line;
     EXPECT_LE(n_lines, 40) << command;
   }
-}
-
-TEST_F(DriverTest, BenchmarkRunsEverySceneAndGoesOnFromWhatIsThere) {
-  for (const char* scene : {"set/Barn", "set/mine"}) {
-    MakeCapture(scene);
-    WriteFileAtomically(root_ / scene / "intrinsics.txt", "1");
-    fs::create_directories(root_ / scene / "pose");
-  }
-  const std::map<std::string, std::string> posed = {{"FAKE_POSED", "1"}};
-  const std::vector<std::string> command = {"benchmark", "tanks-and-temples", Path("set"), "-w", Path("bench")};
-  auto failing = posed;
-  failing["FAKE_FAIL"] = "mine/train";
-  const ProgramResult half = Nrff(command, failing);
-  EXPECT_EQ(half.exit_code, 3);
-  EXPECT_THAT(half.out, HasSubstr("| mine | failed: mine/train was told to fail"));
-  Json table = ReadJson(root_ / "bench/benchmark.json");
-  EXPECT_EQ(table["mean"]["n_scenes"], 1);
-  Ran();
-
-  EXPECT_EQ(Nrff(command, posed).exit_code, 0);
-  EXPECT_THAT(Ran(), ElementsAre("train", "render", "eval"));
-  table = ReadJson(root_ / "bench/benchmark.json");
-  EXPECT_EQ(table["mean"]["psnr"], 21.5);
-  EXPECT_EQ(table["scenes"].size(), 2);
-  EXPECT_EQ(table["command"], "nrff benchmark tanks-and-temples DIR");
-  EXPECT_EQ(RequireArtifact(root_ / "bench/Barn/render", "render").params.at("bit-depth"), "16");
-  EXPECT_EQ(RequireArtifact(root_ / "bench/Barn/pose", "pose").params.at("max-image-size"), "1920");
-  EXPECT_TRUE(fs::exists(root_ / "bench/benchmark.html"));
-
-  // One scene gets a folder of its own, too; what is given replaces the data set's own size.
-  const ProgramResult one = Nrff(
-      {"benchmark", "tanks-and-temples", Path("set/mine"), "-w", Path("one"), "--quiet", "--max-image-size", "200"},
-      posed);
-  EXPECT_EQ(one.out + one.err, "");
-  EXPECT_EQ(RequireArtifact(root_ / "one/mine/pose", "pose").params.at("max-image-size"), "200");
-  EXPECT_THAT(Nrff({"benchmark", "llff", Path("set")}).err, HasSubstr("holds no scene of llff"));
-  const ProgramResult dry =
-      Nrff({"benchmark", "tanks-and-temples", Path("set"), "-w", Path("dry"), "--dry-run"}, posed);
-  EXPECT_EQ(dry.exit_code, 0);
-  EXPECT_FALSE(fs::exists(root_ / "dry"));
-}
-
-TEST_F(DriverTest, WorkPrecisionTrainsEveryBudgetAndSeedOnTheScenesOwnPoses) {
-  const std::map<std::string, std::string> posed = {{"FAKE_POSED", "1"}};
-  RunFox({"--steps", "7"}, posed);
-  Ran();
-  const std::vector<std::string> command = {"benchmark", "work-precision", Path("work"), "--budgets",
-                                            "4s,2s,2s",  "--seeds",        "2"};
-  const ProgramResult result = Nrff(command, posed);
-  EXPECT_EQ(result.exit_code, 0) << result.err;
-  EXPECT_THAT(result.out, HasSubstr("| 2.0 | small | 21.50 | 0.7500 | – |"));
-  EXPECT_THAT(result.out, HasSubstr("reaches 20 dB: 2 s."));
-  EXPECT_THAT(result.out, HasSubstr("| step | **1** | 0.100 |"));
-  std::vector<std::string> ran = Ran();
-  EXPECT_EQ(std::count(ran.begin(), ran.end(), "train"), 4);
-  EXPECT_EQ(std::count(ran.begin(), ran.end(), "rendering"), 1);
-  EXPECT_EQ(std::count(ran.begin(), ran.end(), "scoring"), 1);
-  EXPECT_THAT(result.out, HasSubstr("| **8 × 6** | 30.50 | – | – | 2.5e-01 | – | – |"));
-  EXPECT_EQ(std::count(ran.begin(), ran.end(), "ingest") + std::count(ran.begin(), ran.end(), "pose"), 0);
-  const Json json = ReadJson(root_ / "work/work-precision/work_precision.json");
-  EXPECT_EQ(json["training"]["bands"].size(), 2);
-  EXPECT_EQ(json["training"]["bands"][1]["seconds"], Json({{"mean", 4}, {"least", 4}, {"most", 4}}));
-  EXPECT_EQ(json["training"]["runs"][3]["workspace"], "4s-seed1");
-  EXPECT_TRUE(fs::exists(root_ / "work/work-precision/work_precision.html"));
-
-  // Nothing is done twice; another budget trains that alone.
-  EXPECT_EQ(Nrff(command, posed).exit_code, 0);
-  EXPECT_THAT(Ran(), IsEmpty());
-  EXPECT_EQ(Nrff({"benchmark", "work-precision", Path("work"), "--budgets", "2s,8s", "--seeds", "1"}, posed).exit_code,
-            0);
-  ran = Ran();
-  EXPECT_EQ(std::count(ran.begin(), ran.end(), "train"), 1);
-
-  EXPECT_EQ(json["poses"]["reason"], "the photos do not lie in one folder of their own");
-
-  EXPECT_EQ(Nrff({"benchmark", "work-precision", Path("fox")}, posed).exit_code, 3);
-  EXPECT_EQ(Nrff({"benchmark", "work-precision", Path("work"), "--budgets", "soon"}, posed).exit_code, 2);
-  EXPECT_EQ(Nrff({"benchmark", "work-precision", Path("work"), "--budgets", ","}, posed).exit_code, 2);
-}
-
-// Without poses of the capture's own, too: what was estimated once is not estimated again for every seed.
-TEST_F(DriverTest, WorkPrecisionTakesEstimatedPosesAsTheyAre) {
-  RunFox({"--until", "render"});
-  Ran();
-  const ProgramResult result =
-      Nrff({"benchmark", "work-precision", Path("work"), "--budgets", "2s", "--seeds", "2"}, {{"FAKE_PAYLOAD", "new"}});
-  EXPECT_EQ(result.exit_code, 0) << result.err;
-  const std::vector<std::string> ran = Ran();
-  EXPECT_EQ(std::count(ran.begin(), ran.end(), "train"), 2);
-  EXPECT_EQ(std::count(ran.begin(), ran.end(), "sfm") + std::count(ran.begin(), ran.end(), "pose"), 0);
-  EXPECT_THAT(result.out, HasSubstr("Not measured: the capture brings no poses"));
-  EXPECT_EQ(Nrff({"benchmark", "work-precision", Path("work"), "--parts", "training", "--budgets", "2s"}).exit_code, 0);
-}
-
-TEST_F(DriverTest, WorkPrecisionTellsWhatIsMissingBeforeItTrains) {
-  RunFox({"--until", "pose"});
-  Ran();
-  const ProgramResult result = Nrff({"benchmark", "work-precision", Path("work"), "--budgets", "2s"});
-  EXPECT_EQ(result.exit_code, 3);
-  EXPECT_THAT(result.err, HasSubstr("has no finished train yet"));
-  EXPECT_THAT(Ran(), IsEmpty());
-}
-
-TEST_F(DriverTest, WorkPrecisionEstimatesPosesThatTheCaptureBringsFromItsPhotosAlone) {
-  fs::create_directories(root_ / "fox/images");
-  const std::map<std::string, std::string> posed = {{"FAKE_POSED", "1"}};
-  RunFox({}, posed);
-  Ran();
-  const std::vector<std::string> command = {"benchmark", "work-precision", Path("work"), "--parts", "poses"};
-  auto failing = posed;
-  failing["FAKE_FAIL"] = "1000px-4096-sequential/sfm";
-  const ProgramResult result = Nrff(command, failing);
-  EXPECT_EQ(result.exit_code, 0) << result.err;
-  const std::vector<std::string> ran = Ran();
-  EXPECT_EQ(std::count(ran.begin(), ran.end(), "sfm"), 7);
-  EXPECT_EQ(std::count(ran.begin(), ran.end(), "train"), 0);
-  EXPECT_THAT(result.out, HasSubstr("| **1000** | **2048** | sequential |"));
-  EXPECT_THAT(result.out, HasSubstr("| 1.000 | 0.500 | 0.750 |"));
-  EXPECT_THAT(result.out, HasSubstr("failed: 1000px-4096-sequential/sfm was told to fail"));
-  const Json poses = ReadJson(root_ / "work/work-precision/work_precision.json")["poses"];
-  EXPECT_EQ(poses["points"].size(), 7);
-  EXPECT_EQ(RequireArtifact(root_ / "work/work-precision/poses/500px-2048-sequential/sfm", "sfm").params,
-            (Params{{"matching", "sequential"}, {"sfm-features", "2048"}, {"sfm-image-size", "500"}}));
 }
 
 TEST_F(DriverTest, QuietRunSaysNothing) {

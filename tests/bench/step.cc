@@ -163,7 +163,7 @@ class Bench {
     SetOccupancy();
     const RenderedImage exact = Render(0);
     Json result = Json::array();
-    // 1e-6: all samples, those below the weight threshold too, with bf16 products.
+    // 1e-6: all samples, with bf16 products.
     for (const double steps : {0., 1e-6, 0.125, 0.25, 0.5, 1., 2., 4.}) {  // of 8 bits
       const auto start = Clock::now();
       const RenderedImage image = Render(steps / 255);
@@ -204,8 +204,7 @@ class Bench {
 
   // As nrff-render does.
   RenderedImage Render(double colour_tolerance = kEightBitTolerance) const {
-    RenderOptions options = options_;
-    if (colour_tolerance == kEightBitTolerance) options = PictureOptions(options, 8);
+    RenderOptions options = PictureOptions(options_, colour_tolerance > 0 ? 8 : 16);
     options.colour_tolerance = colour_tolerance;
     return RenderImage(*model_->field, model_->occupancy, model_->map, view_, options);
   }
