@@ -14,24 +14,35 @@ namespace nrff {
 namespace {
 
 constexpr double kDepthWeight = 0.1;  // 0.3 and 1 show held-out training views of castle and the example worse
-constexpr char kGelu[] = "gelu";
-constexpr char kRelu[] = "relu";
+constexpr const char* kActivations[] = {"gelu", "relu"};  // in the order of Activation
+
+// The place of the JSON string among names. Throws std::invalid_argument where it is not there.
+template <typename Names>
+size_t IndexOf(const Json& json, const Names& names, const char* what) {
+  const auto name = json.get<std::string>();
+  const auto found = std::find(std::begin(names), std::end(names), name);
+  if (found == std::end(names)) throw std::invalid_argument(std::string(what) + " is '" + name + "'");
+  return size_t(found - std::begin(names));
+}
 
 }  // namespace
 
-static void to_json(Json& json, Activation activation) { json = activation == Activation::kGelu ? kGelu : kRelu; }
-
+static void to_json(Json& json, Activation activation) { json = kActivations[size_t(activation)]; }
 static void from_json(const Json& json, Activation& activation) {
-  const auto name = json.get<std::string>();
-  if (name != kGelu && name != kRelu) throw std::invalid_argument("activation is '" + name + "'");
-  activation = name == kGelu ? Activation::kGelu : Activation::kRelu;
+  activation = Activation(IndexOf(json, kActivations, "activation"));
+}
+
+static void to_json(Json& json, DirectionalEncoding encoding) { json = kDirectionalEncodings[size_t(encoding)]; }
+static void from_json(const Json& json, DirectionalEncoding& encoding) {
+  encoding = DirectionalEncoding(IndexOf(json, kDirectionalEncodings, "directional_encoding"));
 }
 
 // to_json and from_json; the latter throws when a key is missing.
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(FieldConfig, levels, base_resolution, max_resolution, density_channels,
                                    appearance_channels, appearance_line_mean, density_scale, density_shift,
-                                   spatial_layers, spatial_width, bottleneck_width, lobes_theta, lobes_phi,
-                                   lobe_row_width, directional_layers, directional_width, activation)
+                                   decoded_features, spatial_layers, spatial_width, bottleneck_width, lobes_theta,
+                                   lobes_phi, lobe_row_width, directional_encoding, directional_layers,
+                                   directional_width, activation)
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(TrainConfig, steps, rays, max_rays, target_shaded, grid_rate, network_rate,
                                    final_rate, beta1, beta2, epsilon, lazy_grids, reset_with_step, orientation_weight,
                                    density_l1_weight, density_l1_weight_later, sparsity_weight, depth_weight,
@@ -62,6 +73,9 @@ void CheckConfig(const FieldConfig& config) {
       throw std::invalid_argument(std::string(name) + " is " + std::to_string(size) + ", expected 1 to " +
                                   std::to_string(kMost));
     }
+  }
+  if (config.decoded_features < 0 || config.decoded_features > kMost) {
+    throw std::invalid_argument("decoded_features must not be negative, nor beyond " + std::to_string(kMost));
   }
   MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.density_channels);
   MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.appearance_channels);
@@ -107,7 +121,9 @@ bool SameKind(const Json& had, const Json& given) {
 
 FieldConfig FieldConfigFromJson(const Json& json, const std::string& where) {
   try {
-    const auto config = json.get<FieldConfig>();
+    Json complete = {{"decoded_features", 0}, {"directional_encoding", "ree"}};  // models of 0.2 do not name them
+    complete.update(json);
+    const auto config = complete.get<FieldConfig>();
     CheckConfig(config);
     return config;
   } catch (const std::exception& error) {
@@ -264,7 +280,7 @@ Decision FitLevelsToViews(Preset& preset, const std::string& name, int n_train_v
   const double octaves = std::log2(double(field.max_resolution) / field.base_resolution);
   const double octaves_left = std::log2(double(wanted) / field.base_resolution);
   field.levels = std::max(1, 1 + int(std::lround((field.levels - 1) * octaves_left / octaves)));
-  field.max_resolution = wanted;
+  field.max_resolution = field.levels > 1 ? wanted : field.base_resolution;
   return decision;
 }
 

@@ -17,19 +17,25 @@
 
 namespace nrff {
 
+// In the order of DirectionalEncoding.
+inline constexpr const char* kDirectionalEncodings[] = {"ree", "ide", "pe", "none"};
+
 struct FieldConfig {
   // Multiscale tensor decomposition (kernels/feature_grid.h).
   int levels = 16;
   int base_resolution = 16, max_resolution = 512;
-  int density_channels = 2, appearance_channels = 4;
+  int density_channels = 2, appearance_channels = 4;  // per level, 2 or a multiple of 4
   double appearance_line_mean = 0;  // lines start at mean + 0.1·randn, planes and density lines at 0.1·randn
   // sigma = density_scale · softplus(f + density_shift), per unit of Samples::delta.
   double density_scale = 25, density_shift = -10;
-  // Networks: `layers` counts linear layers.
+  // Networks: `layers` counts linear layers. decoded_features: so many are made of the grid's features by one linear
+  // layer before the spatial network, as in TensoRF [Chen22]; 0: the spatial network sees the grid's own.
+  int decoded_features = 0;
   int spatial_layers = 3, spatial_width = 256;
   int bottleneck_width = 128;
   int lobes_theta = 8, lobes_phi = 16;  // kernels/ree.h
   int lobe_row_width = 16;  // features per row of lobes, from which a shared linear layer predicts a, λ, μ
+  DirectionalEncoding directional_encoding = DirectionalEncoding::kRee;  // lobes and their rows: with kRee alone
   int directional_layers = 6, directional_width = 256;
   Activation activation = Activation::kGelu;
 
@@ -68,11 +74,11 @@ struct TrainConfig {
   int occupancy_resolution = 128;
   std::vector<double> occupancy_moments = {2. / 30, 4. / 30};
   int occupancy_interval = 0;
-  int64_t occupancy_cells = 0;        // measured per update but the first, half of them among the occupied; 0: all
+  int64_t occupancy_cells = 0;          // measured per update but the first, half of them among the occupied; 0: all
   double occupancy_threshold = 2.5e-4;  // opacity over a step; the authors' 1e-5 leaves density_scale (25) out
   double occupancy_decay = 0;
   bool occupancy_dilate = true;
-  int occupancy_min_views = 0;     // unbounded scenes: cells seen by fewer training views are empty
+  int occupancy_min_views = 0;                     // unbounded scenes: cells seen by fewer training views are empty
   std::vector<double> shrink_moments = {2. / 30};  // when the box of a bounded scene shrinks to what is occupied
 
   // Samples of less weight are not shaded. The threshold falls log-linearly until weight_threshold_moment; its last

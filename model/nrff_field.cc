@@ -7,6 +7,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "model/directional_encoding.h"
 #include "model/grid_crop.h"
 #include "model/kernels/tile_rows.h"
 #include "render/kernels/random.h"
@@ -18,6 +19,31 @@ using torch::Tensor;
 
 constexpr double kGridStd = 0.1;
 constexpr int kSpatialColours = 9;  // diffuse, tint, normal
+
+// What the spatial network makes for the encoding.
+int EncodingShare(const FieldConfig& config) {
+  switch (config.directional_encoding) {
+    case DirectionalEncoding::kRee:
+      return config.lobes_theta * config.lobe_row_width;
+    case DirectionalEncoding::kIde:
+      return 1;
+    default:
+      return 0;
+  }
+}
+
+int EncodingFeatures(const FieldConfig& config) {
+  switch (config.directional_encoding) {
+    case DirectionalEncoding::kRee:
+      return config.lobes_theta * config.lobes_phi * kLobeAmplitudes;
+    case DirectionalEncoding::kIde:
+      return kIdeFeatures;
+    case DirectionalEncoding::kPe:
+      return kPeFeatures;
+    default:
+      return 0;
+  }
+}
 
 // Draw number `counter` of a standard normal, by Box and Muller.
 double Normal(uint64_t seed, uint64_t stream, uint64_t counter) {
@@ -61,14 +87,25 @@ NrffField::NrffField(const FieldConfig& config, torch::Dtype type, uint64_t seed
       lobes_(c10::make_intrusive<SharedLobes>(MakeLobes(config.lobes_theta, config.lobes_phi))) {
   density_grid_ = AddParameter("density_grid", {density_layout().n_parameters}, true);
   appearance_grid_ = AddParameter("appearance_grid", {appearance_layout().n_parameters}, true);
-  const int n_lobes = lobes_->lobes.size();
-  spatial_ = MakeMlp("spatial_mlp", appearance_layout().n_features(), config.spatial_width, config.spatial_layers,
-                     kSpatialColours + config.bottleneck_width + config.lobes_theta * config.lobe_row_width);
-  lobe_layer_ = MakeLinear("lobes", config.lobe_row_width, config.lobes_phi * kLobeParameters);
-  directional_ = MakeMlp("directional_mlp", config.bottleneck_width + n_lobes * kLobeAmplitudes + 1,
-                         config.directional_width, config.directional_layers, 3);
+  const bool directional = config.directional_encoding != DirectionalEncoding::kNone;
+  int n_features = appearance_layout().n_features();
+  if (config.decoded_features > 0) {
+    spatial_.push_back(MakeLinear("decoder", n_features, config.decoded_features));
+    n_features = config.decoded_features;
+  }
+  const int n_spatial = directional ? kSpatialColours + config.bottleneck_width + EncodingShare(config) : 3;
+  for (Linear& layer : MakeMlp("spatial_mlp", n_features, config.spatial_width, config.spatial_layers, n_spatial)) {
+    spatial_.push_back(std::move(layer));
+  }
+  if (config.directional_encoding == DirectionalEncoding::kRee) {
+    lobe_layer_ = MakeLinear("lobes", config.lobe_row_width, config.lobes_phi * kLobeParameters);
+  }
+  if (directional) {
+    directional_ = MakeMlp("directional_mlp", config.bottleneck_width + EncodingFeatures(config) + 1,
+                           config.directional_width, config.directional_layers, 3);
+  }
   density_l1_weights_ = at::empty({density_layout().n_parameters}, type);
-  const double n_factors = 6. * config.levels;
+  const double n_factors = 2. * density_layout().n_products();
   ForEachFactor(density_layout(), [&](int64_t offset, int64_t n) {
     density_l1_weights_.narrow(0, offset, n).fill_(1 / (double(n) * n_factors));
   });
@@ -120,10 +157,11 @@ void NrffField::Initialise(uint64_t seed) {
 
 Tensor NrffField::Linear::operator()(const Tensor& x) const { return at::linear(x, weight, bias); }
 
-Tensor NrffField::Apply(const Mlp& mlp, Tensor x) const {
+Tensor NrffField::Apply(const Mlp& mlp, Tensor x, size_t first_activated) const {
   for (size_t i = 0; i < mlp.size(); ++i) {
     x = mlp[i](x);
     if (i + 1 == mlp.size()) break;
+    if (i < first_activated) continue;
     x = config_.activation == Activation::kGelu ? at::gelu(x) : at::relu(x);
   }
   return x;
@@ -145,10 +183,16 @@ Tensor NrffField::AppearanceFeature(const Tensor& points) const {
 
 NrffField::ShadingParts NrffField::ShadeFeature(const Tensor& appearance_feature, const Tensor& ray_directions) const {
   const int64_t n = appearance_feature.size(0);
-  const int64_t n_lobe_features = int64_t(config_.lobes_theta) * config_.lobe_row_width;
+  const Tensor spatial_out = Apply(spatial_, appearance_feature, config_.decoded_features > 0 ? 1 : 0);
   ShadingParts parts;
-  const std::vector<Tensor> spatial = at::split_with_sizes(Apply(spatial_, appearance_feature),
-                                                           {3, 3, 3, config_.bottleneck_width, n_lobe_features}, 1);
+  if (config_.directional_encoding == DirectionalEncoding::kNone) {
+    parts.diffuse = spatial_out;
+    parts.normal = at::zeros_like(spatial_out);
+    parts.rgb = at::sigmoid(parts.diffuse);
+    return parts;
+  }
+  const std::vector<Tensor> spatial =
+      at::split_with_sizes(spatial_out, {3, 3, 3, config_.bottleneck_width, EncodingShare(config_)}, 1);
   parts.diffuse = spatial[0];
   parts.tint = spatial[1];
   parts.normal = spatial[2] / -spatial[2].norm(2, {1}, /*keepdim=*/true).clamp_min(1e-12);
@@ -158,9 +202,15 @@ NrffField::ShadingParts NrffField::ShadeFeature(const Tensor& appearance_feature
   const Tensor wo = -ray_directions.to(type_);
   const Tensor cosine = (wo * parts.normal).sum(1, /*keepdim=*/true);
   parts.reflected_direction = 2 * cosine * parts.normal - wo;
-  parts.lobe_parameters =
-      lobe_layer_(parts.lobe_features.reshape({n * config_.lobes_theta, config_.lobe_row_width})).view({n, -1});
-  parts.encoding = ReeEncode(lobes_, parts.reflected_direction, parts.lobe_parameters);
+  if (config_.directional_encoding == DirectionalEncoding::kIde) {
+    parts.encoding = IdeEncode(parts.reflected_direction, parts.lobe_features);
+  } else if (config_.directional_encoding == DirectionalEncoding::kPe) {
+    parts.encoding = PeEncode(-wo);
+  } else {
+    parts.lobe_parameters =
+        lobe_layer_(parts.lobe_features.reshape({n * config_.lobes_theta, config_.lobe_row_width})).view({n, -1});
+    parts.encoding = ReeEncode(lobes_, parts.reflected_direction, parts.lobe_parameters);
+  }
   const Tensor specular = Apply(directional_, at::cat({parts.bottleneck, parts.encoding, cosine}, 1));
   parts.rgb = at::sigmoid(parts.diffuse + parts.tint * specular);
   return parts;
@@ -184,10 +234,14 @@ ShadingNetworks NrffField::Networks() const {
                        .bias = linear.bias.const_data_ptr<float>()};
   };
   ShadingNetworks networks;
+  networks.decodes = config_.decoded_features > 0;
   for (const Linear& linear : spatial_) networks.spatial.push_back(view(linear));
   for (const Linear& linear : directional_) networks.directional.push_back(view(linear));
-  networks.lobe_layer = view(lobe_layer_);
-  networks.lobes = lobes_->lobes;
+  networks.encoding = config_.directional_encoding;
+  if (networks.encoding == DirectionalEncoding::kRee) {
+    networks.lobe_layer = view(lobe_layer_);
+    networks.lobes = lobes_->lobes;
+  }
   networks.bottleneck_width = config_.bottleneck_width;
   networks.activation = config_.activation;
   return networks;
@@ -196,7 +250,8 @@ ShadingNetworks NrffField::Networks() const {
 namespace {
 
 // From this tolerance on products are in bf16. What that changes is measured, not bounded: a view of the paper's model
-// (that of tests/bench/step.cc, nearly every sample shaded by itself) moves by 4e-5 root mean square, 0.003 at the most.
+// (that of tests/bench/step.cc, nearly every sample shaded by itself) moves by 4e-5 root mean square, 0.003 at the
+// most.
 constexpr double kBf16Tolerance = 0.25 / 255;
 
 class TileShader : public RadianceField::Shader {

@@ -8,6 +8,9 @@
 //   directional network:  (bottleneck, encoding, n·wo) → s (3)
 //   rgb  = sigmoid(diffuse + tint ⊙ s)
 //
+// FieldConfig::directional_encoding puts another encoding there (kernels/directional_encoding.h), and decoded_features
+// a linear layer before the spatial network.
+//
 // Deviations from the paper follow the authors' code, and are where FieldConfig says so.
 #pragma once
 
@@ -48,12 +51,12 @@ class NrffField : public RadianceField {
   torch::Tensor DensityFromFeature(const torch::Tensor& feature) const;  // [n] sigma
   torch::Tensor AppearanceFeature(const torch::Tensor& points) const;    // [n, 3 · levels · channels]
   struct ShadingParts {
-    torch::Tensor diffuse, tint, normal;  // [n, 3]
+    torch::Tensor diffuse, tint, normal;  // [n, 3]; without a directional network, normal is zero
     torch::Tensor bottleneck;             // [n, bottleneck_width]
-    torch::Tensor lobe_features;          // [n, lobes_theta · lobe_row_width]
+    torch::Tensor lobe_features;          // [n, lobes_theta · lobe_row_width], or the other encodings' share
     torch::Tensor reflected_direction;    // [n, 3]
-    torch::Tensor lobe_parameters;        // [n, lobes · kLobeParameters]
-    torch::Tensor encoding;               // [n, lobes · kLobeAmplitudes]
+    torch::Tensor lobe_parameters;        // [n, lobes · kLobeParameters]; of REE alone
+    torch::Tensor encoding;               // [n, lobes · kLobeAmplitudes], or that of the other encodings
     torch::Tensor rgb;                    // [n, 3]
   };
   ShadingParts ShadeFeature(const torch::Tensor& appearance_feature, const torch::Tensor& ray_directions) const;
@@ -87,7 +90,8 @@ class NrffField : public RadianceField {
   torch::Tensor AddParameter(const std::string& name, const std::vector<int64_t>& shape, bool is_grid);
   Linear MakeLinear(const std::string& name, int n_in, int n_out);
   Mlp MakeMlp(const std::string& name, int n_in, int width, int n_layers, int n_out);
-  torch::Tensor Apply(const Mlp& mlp, torch::Tensor x) const;
+  // The layers before `first_activated` are followed by no activation.
+  torch::Tensor Apply(const Mlp& mlp, torch::Tensor x, size_t first_activated = 0) const;
   void Initialise(uint64_t seed);
 
   FieldConfig config_;
@@ -97,7 +101,7 @@ class NrffField : public RadianceField {
   std::vector<Parameter> parameters_;
   torch::Tensor density_grid_, appearance_grid_;
   torch::Tensor density_l1_weights_;  // of |density_grid_|, summing to 1
-  Mlp spatial_, directional_;
+  Mlp spatial_, directional_;         // spatial_ begins with the decoder, where there is one
   Linear lobe_layer_;
 };
 

@@ -1,7 +1,11 @@
 // nrff-train: a posed scene → a model.
 
 #include <cstdio>
+#include <iterator>
+#include <string>
+#include <vector>
 
+#include "model/config.h"
 #include "model/training.h"
 #include "pipeline/manifest.h"
 #include "pipeline/stage.h"
@@ -29,6 +33,11 @@ int main(int argc, char** argv) {
   app.add_option("--set", request.settings, "changes of the preset (see --probe), as 'field.levels=10 train.rays=2048'")
       ->group(group)
       ->type_name("SETTINGS");
+  app.add_option("--directional", request.directional, "encoding of directions (ree)")
+      ->group(group)
+      ->type_name("NAME")
+      ->check(CLI::IsMember(
+          std::vector<std::string>(std::begin(nrff::kDirectionalEncodings), std::end(nrff::kDirectionalEncodings))));
   auto* steps = app.add_option("--steps", request.steps, "steps of the optimiser (the preset's)")->group(group);
   steps->check(CLI::Range(int64_t{1}, int64_t{100'000'000}));
   const auto set_budget = [&](const std::string& text) {

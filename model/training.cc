@@ -49,14 +49,21 @@ bool ChoosesBySpeed(const TrainingRequest& request) {
 // The preset asked for, or the one that is tried first.
 std::string FirstPreset(const std::string& asked) { return asked == kAutoPreset ? "small" : asked; }
 
+void ApplyRequest(const TrainingRequest& request, Preset& preset) {
+  ApplySettings(request.settings, preset);
+  if (!request.directional.empty()) {
+    ApplySettings("field.directional_encoding=\"" + request.directional + "\"", preset);
+  }
+  if (request.steps > 0) preset.train.steps = request.steps;
+}
+
 Preset ChoosePreset(const TrainingRequest& request, const std::string& name, const Scene& scene, size_t n_depths,
                     std::vector<Decision>& decisions) {
   Preset preset = MakePreset(name, scene.unbounded);
-  ApplySettings(request.settings, preset);
+  ApplyRequest(request, preset);
   const int n_views = int(scene.ViewsOf(Split::kTrain).size());
   decisions.push_back(FitDepths(preset, n_depths, scene.unbounded, request.sparse_depth));
   decisions.push_back(FitLevelsToViews(preset, name, n_views, request.fine_levels));
-  if (request.steps > 0) preset.train.steps = request.steps;
   return preset;
 }
 
@@ -177,8 +184,7 @@ Json DescribeTraining(const TrainingRequest& request) {
     Json& kind = settings[unbounded ? "unbounded" : "bounded"];
     try {
       Preset preset = MakePreset(FirstPreset(request.preset), unbounded);
-      ApplySettings(request.settings, preset);
-      if (request.steps > 0) preset.train.steps = request.steps;
+      ApplyRequest(request, preset);
       steps = preset.train.steps;
       kind = {{"field", ToJson(preset.field)}, {"train", ToJson(preset.train)}};
     } catch (const Error& error) {

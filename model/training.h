@@ -13,9 +13,10 @@ namespace nrff {
 struct TrainingRequest {
   std::filesystem::path scene_dir, out;
   std::string preset = "auto";  // kAutoPreset or a preset's name
-  std::string settings;       // changes of the preset: ApplySettings
-  int64_t steps = 0;          // 0: the preset's
-  double budget_seconds = 0;  // of training, without evaluating; 0: steps decide
+  std::string settings;         // changes of the preset: ApplySettings
+  std::string directional;      // of kDirectionalEncodings; empty: the preset's
+  int64_t steps = 0;            // 0: the preset's
+  double budget_seconds = 0;    // of training, without evaluating; 0: steps decide
   uint64_t seed = 0;
   std::optional<bool> fine_levels, sparse_depth;  // forced either way
   std::string device = "auto";

@@ -57,11 +57,12 @@ TrainingStep::TrainingStep(const NrffField& field) : field_(field), networks_(fi
   for (const NrffField::Parameter& parameter : field.parameters()) {
     gradients_.push_back(at::zeros(parameter.value.sizes(), torch::kFloat));
   }
-  const int n_products = field.density_layout().n_products();
-  for (int task = 0; task < 2 * n_products; ++task) scatter_tasks_.push_back(task);
+  const GridLayout &density = field.density_layout(), &appearance = field.appearance_layout();
+  const int n_density = density.n_products();
+  for (int task = 0; task < n_density + appearance.n_products(); ++task) scatter_tasks_.push_back(task);
   const auto cost = [&](int task) {
-    const bool appearance = task >= n_products;
-    return field.density_layout().levels[task % n_products / 3].resolution * (appearance ? 2 : 1);
+    return task < n_density ? density.levels[task / 3].resolution
+                            : 2 * appearance.levels[(task - n_density) / 3].resolution;
   };
   std::stable_sort(scatter_tasks_.begin(), scatter_tasks_.end(), [&](int a, int b) { return cost(a) > cost(b); });
 }
@@ -309,12 +310,12 @@ void TrainingStep::BackwardDensity(const Batch& batch, Tile& tile, Thread& threa
 
 // All that the step leaves in one product's plane and line, starting from the L1 term or nothing.
 void TrainingStep::Scatter(int task, double density_l1) {
-  const int n_products = field_.density_layout().n_products();
-  const bool appearance = task >= n_products;
+  const int n_density = field_.density_layout().n_products();
+  const bool appearance = task >= n_density;
   const GridLayout& layout = appearance ? field_.appearance_layout() : field_.density_layout();
   const float* parameters = appearance ? field_.appearance_parameters() : field_.density_parameters();
   auto* gradient = gradients_[appearance ? 1 : 0].mutable_data_ptr<float>();
-  const int product = task % n_products;
+  const int product = appearance ? task - n_density : task;
   const GridLayout::Level& level = layout.levels[product / 3];
   const int64_t n_line = int64_t(level.resolution) * layout.n_channels;
   const std::pair<int64_t, int64_t> parts[2] = {{level.plane_offsets[product % 3], n_line * level.resolution},
@@ -323,7 +324,7 @@ void TrainingStep::Scatter(int task, double density_l1) {
     if (appearance || density_l1 == 0) {
       std::fill_n(gradient + offset, n, 0.F);
     } else {
-      const auto rate = float(density_l1 / (double(n) * 2 * n_products));
+      const auto rate = float(density_l1 / (double(n) * 2 * n_density));
       for (int64_t i = offset; i < offset + n; ++i) {
         gradient[i] = parameters[i] > 0 ? rate : parameters[i] < 0 ? -rate : 0.F;
       }

@@ -89,7 +89,7 @@ class TrainingStep {
   std::vector<RayBlock> blocks_;
   std::vector<Tile> tiles_;  // of all steps; those of this one are the first n_tiles_
   int64_t n_tiles_ = 0;
-  std::vector<int> scatter_tasks_;  // products, appearance after density, the largest first
+  std::vector<int> scatter_tasks_;  // products, appearance's after density's; the largest first
 };
 
 }  // namespace nrff

@@ -127,7 +127,11 @@ std::string SizeOf(const Json& row, const char* width, const char* height) {
 
 Json Differences(const DataSet& data_set, const Json& rows, const Json& missing) {
   Json differences = Json::array();
+  const bool compared = !data_set.published.empty();
   const auto add = [&](const std::string& text) { differences.push_back(text); };
+  const auto add_beside = [&](const std::string& ours, const std::string& published) {
+    add(ours + (compared ? "; published: " + published : std::string()) + ".");
+  };
   if (!missing.empty()) {
     add(fmt::format("Scenes: {} of the {} that the published means are over are not here ({}).", missing.size(),
                     data_set.scenes.size(), Joined(missing)));
@@ -136,7 +140,7 @@ Json Differences(const DataSet& data_set, const Json& rows, const Json& missing)
   for (const Json& row : rows) {
     if (!row.at("published").get<bool>()) others.push_back(row.at("name"));
   }
-  if (!others.empty()) add(fmt::format("Scenes: the published means are not over {}.", Joined(others)));
+  if (compared && !others.empty()) add(fmt::format("Scenes: the published means are not over {}.", Joined(others)));
 
   const std::string published_size = fmt::format("{} × {}", data_set.width, data_set.height);
   const std::string sizes = ByScene(rows, [&](const Json& row) {
@@ -144,21 +148,21 @@ Json Differences(const DataSet& data_set, const Json& rows, const Json& missing)
     if (size == published_size || size.empty()) return std::string();
     return size == photo ? size : fmt::format("{}, area average of {}", size, photo);
   });
-  if (!sizes.empty()) add(fmt::format("Size in px: {}; published: {}.", sizes, published_size));
+  if (!sizes.empty()) add_beside("Size in px: " + sizes, published_size);
 
   const std::string models = ByScene(rows, [](const Json& row) {
-    if (!row.at("steps").is_number() || !row.at("preset").is_string()) return std::string();
+    if (!row.at("training_seconds").is_number() || !row.at("preset").is_string()) return std::string();
     return fmt::format("preset {}, {} steps in {:.0f} s on {}", row.at("preset").get<std::string>(),
                        row.at("steps").get<int>(), row.at("training_seconds").get<double>(),
                        row.at("device") == "cuda" ? "a GPU" : "the CPU");
   });
-  if (!models.empty()) add("Training: " + models + "; published: as in the table, each with its full model.");
+  if (!models.empty()) add_beside("Training: " + models, "as in the table, each with its full model");
 
   const std::string splits = ByScene(rows, [](const Json& row) {
     if (!row.at("split_rule").is_string() || row.at("n_images") == 0) return std::string();
     return fmt::format("{} images, {}", row.at("n_images").get<int>(), row.at("split_rule").get<std::string>());
   });
-  add(fmt::format("Held out: {}; published: {}.", splits.empty() ? "nothing yet" : splits, data_set.split));
+  add_beside("Held out: " + (splits.empty() ? "nothing yet" : splits), data_set.split);
 
   const std::string background = ByScene(rows, [&](const Json& row) {
     const Json& shown = At(row.at("protocol"), "background");
@@ -166,7 +170,7 @@ Json Differences(const DataSet& data_set, const Json& rows, const Json& missing)
     return differs ? shown.get<std::string>() : std::string();
   });
   if (!background.empty()) {
-    add(fmt::format("Background behind alpha: {}; published: {}.", background, data_set.background));
+    add_beside("Background behind alpha: " + background, data_set.background);
   }
   const std::string bits = ByScene(rows, [](const Json& row) {
     const Json& stored = At(row.at("protocol"), "bits");
@@ -194,7 +198,7 @@ Json Differences(const DataSet& data_set, const Json& rows, const Json& missing)
     return row.at("lpips_reason").is_string() ? "not measured, since " + row.at("lpips_reason").get<std::string>()
                                               : std::string();
   });
-  if (!lpips.empty()) add(fmt::format("LPIPS: {}; published: VGG.", lpips));
+  if (!lpips.empty()) add_beside("LPIPS: " + lpips, "VGG");
   return differences;
 }
 
@@ -208,6 +212,18 @@ std::string Variants(const Json& row) {
   return fmt::format("{} | {} | {}", Figure(At(variants, "psnr_pooled"), "{:.2f}"),
                      Figure(At(variants, "psnr_quantised"), "{:.2f}"),
                      Figure(At(variants, "psnr_foreground"), "{:.2f}"));
+}
+
+std::string PublishedText(const Json& table) {
+  std::string text = fmt::format(
+      "Published, means over {}:\n\n| method | PSNR, dB | SSIM | LPIPS | training | source |\n"
+      "|---|---:|---:|---:|---|---|\n",
+      Joined(table.at("data_set").at("scenes")));
+  for (const Json& row : table.at("published")) {
+    text += fmt::format("| {} | {} | {} | {} |\n", CellText(row.at("method")), Figures(row),
+                        CellText(row.at("training")), CellText(row.at("source")));
+  }
+  return text + "\n";
 }
 
 }  // namespace
@@ -272,15 +288,8 @@ std::string BenchmarkMarkdown(const Json& table) {
   const Json& mean = table.at("mean");
   text += fmt::format("| **mean of {}** | {} | | | {} | | | {} |\n\n", mean.at("n_scenes").get<int>(), Figures(mean),
                       Figure(mean.at("training_seconds"), "{:.1f}"), Figure(mean.at("seconds_per_view"), "{:.3f}"));
-  text += fmt::format(
-      "Published, means over {}:\n\n| method | PSNR, dB | SSIM | LPIPS | training | source |\n"
-      "|---|---:|---:|---:|---|---|\n",
-      Joined(data_set.at("scenes")));
-  for (const Json& row : table.at("published")) {
-    text += fmt::format("| {} | {} | {} | {} |\n", CellText(row.at("method")), Figures(row),
-                        CellText(row.at("training")), CellText(row.at("source")));
-  }
-  text += "\nWhat differs, and how the figures were made:\n\n";
+  if (!table.at("published").empty()) text += PublishedText(table);
+  text += "What differs, and how the figures were made:\n\n";
   for (const Json& difference : table.at("differences")) text += "- " + CellText(difference) + "\n";
   text +=
       "\nThe same as other projects print it, PSNR in dB: of the mean squared error over all images; of images rounded "

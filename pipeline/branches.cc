@@ -83,6 +83,7 @@ Params GivenOptions(const BranchOptions& options) {
   };
   add("preset", options.preset);
   add("set", options.set);
+  add("directional", options.directional);
   for (const std::string& feature : options.need) AddForced(feature, true, params);
   for (const std::string& feature : options.leave_out) AddForced(feature, false, params);
   add("steps", options.steps);
@@ -145,6 +146,7 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options) {
       "Where everything goes (default: " + options.folder + (options.in_folder ? ")" : "/NAME)"));
   add("--preset", options.preset, "NAME", "paper, small or tiny (default: by the budget)");
   add("--set", options.set, "SETTINGS", "Changes of the preset, as 'field.levels=10'")->check(CheckSettings);
+  add("--directional", options.directional, "NAME", "Encoding of directions: ree (default), ide, pe, none");
   auto* budget = add("--budget", options.budget, "TIME", "Train the best model in this time: 90s, 10m, 1h");
   budget->check(
       [](const std::string& text) { return std::string(text.empty() ? "give a time, as 90s, 10m, 1h" : ""); });

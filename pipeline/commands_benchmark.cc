@@ -1,9 +1,10 @@
 // nrff benchmark: every scene of a data set, and one table beside what was published; or one scene's error against
-// run time.
+// run time; or what each part of the model is worth on it.
 #include <algorithm>
 #include <iostream>
 #include <sstream>
 
+#include "pipeline/ablation.h"
 #include "pipeline/benchmark.h"
 #include "pipeline/commands.h"
 #include "pipeline/error.h"
@@ -80,6 +81,13 @@ struct PrecisionOptions {
   OutputOptions output;
 };
 
+struct AblationCommandOptions {
+  std::string workspace, steps = "0", seeds = "1";
+  OutputOptions output;
+};
+
+std::string CheckSeeds(const std::string& text) { return CheckRange(text, 1, 100); }
+
 std::vector<double> ParseBudgets(const std::string& text) {
   std::vector<double> budgets;
   std::istringstream parts(text);
@@ -108,9 +116,7 @@ Command AddWorkPrecision(CLI::App& command) {
   CLI::App* kind = command.add_subcommand("work-precision", "One scene's error against run time");
   kind->add_option("WORKSPACE", options->workspace, "Made by `nrff run`")->required()->type_name("");
   kind->add_option("--budgets", options->budgets, "Training times (default: 15s,30s,1m)")->type_name("TIMES");
-  kind->add_option("--seeds", options->seeds, "Trainings of each (default: 3)")
-      ->type_name("N")
-      ->check([](const std::string& text) { return CheckRange(text, 1, 100); });
+  kind->add_option("--seeds", options->seeds, "Trainings of each (default: 3)")->type_name("N")->check(CheckSeeds);
   kind->add_option("--parts", options->parts, "Of training,rendering,scoring,poses (default: all)")
       ->type_name("PARTS")
       ->delimiter(',')
@@ -129,10 +135,40 @@ Command AddWorkPrecision(CLI::App& command) {
   return {kind, [options] { WorkPrecision(*options); }};
 }
 
+void Ablation(const AblationCommandOptions& options) {
+  const Workspace workspace(options.workspace);
+  const Json result =
+      MeasureAblation(workspace, {std::stoll(options.steps), std::stoi(options.seeds)}, options.output.verbosity());
+  if (options.output.json) {
+    PrintJson(result);
+  } else if (!options.output.quiet) {
+    std::cout << AblationMarkdown(result) << "\nthe tables: " << EscapePath(workspace.root() / "ablation/ablation.html")
+              << ", .md, .json\n";
+  }
+}
+
+Command AddAblation(CLI::App& command) {
+  auto options = std::make_shared<AblationCommandOptions>();
+  CLI::App* kind = command.add_subcommand("ablation", "What each part of the model is worth");
+  kind->add_option("WORKSPACE", options->workspace, "Made by `nrff run`")->required()->type_name("");
+  kind->add_option("--steps", options->steps, "Of every training (default: as the scene's model)")
+      ->type_name("N")
+      ->check([](const std::string& text) { return CheckRange(text, 1, 100'000'000); });
+  kind->add_option("--seeds", options->seeds, "Trainings of each (default: 1)")->type_name("N")->check(CheckSeeds);
+  AddVerbosityOptions(*kind, options->output);
+  AddJsonOption(*kind, options->output);
+  kind->footer(
+      "Trains the settings that the paper compares on the scene's poses, for equal steps:\n"
+      "TensoRF's grids and the multiscale ones, four encodings of directions, 1 to 16\n"
+      "levels. The same command goes on from what is there.\n"
+      "Example: nrff benchmark ablation work/castle --steps 3000");
+  return {kind, [options] { Ablation(*options); }};
+}
+
 }  // namespace
 
 Command AddBenchmarkCommand(CLI::App& app) {
-  CLI::App* command = app.add_subcommand("benchmark", "Whole data sets; error against time");
+  CLI::App* command = app.add_subcommand("benchmark", "Data sets; error against time; ablation");
   command->require_subcommand(1);
   command->footer("Example: nrff benchmark tanks-and-temples TanksAndTemple/ --budget 20m");
   std::vector<Command> kinds;
@@ -141,21 +177,24 @@ Command AddBenchmarkCommand(CLI::App& app) {
     options->branch.in_folder = true;
     options->branch.folder = "work/" + data_set.name;
     // The size of the published figures; and no figure loses by rounding.
-    options->branch.defaults = {{"max-image-size", std::to_string(std::max(data_set.width, data_set.height))},
-                                {"bit-depth", "16"}};
+    options->branch.defaults = {{"bit-depth", "16"}};
+    if (data_set.width > 0) {
+      options->branch.defaults["max-image-size"] = std::to_string(std::max(data_set.width, data_set.height));
+    }
     CLI::App* kind = command->add_subcommand(data_set.name, data_set.title);
     kind->add_option("DIR", options->dir, "Holds a folder per scene")->required()->type_name("");
     AddBranchOptions(*kind, options->branch);
     kind->add_flag("--dry-run", options->dry_run, "Say what would run, as `nrff plan`");
     AddVerbosityOptions(*kind, options->output);
     AddJsonOption(*kind, options->output);
-    kind->footer("A scene's folder holds " + data_set.layout +
-                 ".\nScenes that are not there are left out, and the table says so. The same command\n"
-                 "goes on from what is there.\nExample: nrff benchmark " +
-                 data_set.name + " DIR --budget 20m");
+    kind->footer("A scene's folder holds " + data_set.layout + ".\n" +
+                 (data_set.scenes.empty() ? "" : "Scenes that are not there are left out, and the table says so.\n") +
+                 "The same command goes on from what is there.\nExample: nrff benchmark " + data_set.name +
+                 " DIR --budget 20m");
     kinds.push_back({kind, [&data_set, options] { Benchmark(data_set, *options); }});
   }
   kinds.push_back(AddWorkPrecision(*command));
+  kinds.push_back(AddAblation(*command));
   return {command, [kinds] {
             for (const Command& kind : kinds) {
               if (kind.app->parsed()) kind.run();

@@ -15,6 +15,11 @@ constexpr char kPaper[] = "Han & Xiang, CVPR 2023";
 constexpr char kTensoRf[] = "Chen et al., ECCV 2022";
 constexpr char kNerfBaselines[] = "nerfbaselines";
 
+std::string Lower(std::string text) {
+  std::transform(text.begin(), text.end(), text.begin(), [](unsigned char c) { return char(std::tolower(c)); });
+  return text;
+}
+
 bool IsFileIn(const fs::path& dir, const char* name) {
   std::error_code error;
   return fs::is_regular_file(dir / name, error);
@@ -29,12 +34,22 @@ bool IsNsvfScene(const fs::path& dir) { return IsFileIn(dir, "intrinsics.txt") &
 bool IsSyntheticScene(const fs::path& dir) { return IsFileIn(dir, "transforms_train.json"); }
 bool IsLlffScene(const fs::path& dir) { return IsFolderIn(dir, "sparse") && IsFolderIn(dir, "images"); }
 
-constexpr char kNsvfLayout[] = "intrinsics.txt, pose/ and rgb/";
-
-std::string Lower(std::string text) {
-  std::transform(text.begin(), text.end(), text.begin(), [](unsigned char c) { return char(std::tolower(c)); });
-  return text;
+// Photos, or poses beside them.
+bool IsCapture(const fs::path& dir) {
+  if (IsNsvfScene(dir) || IsSyntheticScene(dir) || IsLlffScene(dir) || IsFileIn(dir, "transforms.json")) return true;
+  for (const fs::path& folder : {dir, dir / "images", dir / "photos"}) {
+    std::error_code error;
+    for (const fs::directory_entry& entry : fs::directory_iterator(folder, error)) {
+      const std::string extension = Lower(entry.path().extension().string());
+      for (const char* known : {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif"}) {
+        if (extension == known && entry.is_regular_file(error)) return true;
+      }
+    }
+  }
+  return false;
 }
+
+constexpr char kNsvfLayout[] = "intrinsics.txt, pose/ and rgb/";
 
 }  // namespace
 
@@ -94,6 +109,16 @@ const std::vector<DataSet>& DataSets() {
        "the first of every eight by file name",
        "none",
        {{"TensoRF", 26.73, {}, {}, "", kTensoRf}}},
+      {"captures",
+       "Captures",
+       {},
+       "photos, also in images/ or photos/, or a posed capture",
+       IsCapture,
+       0,
+       0,
+       "",
+       "",
+       {}},
   };
   return data_sets;
 }

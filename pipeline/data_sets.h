@@ -1,5 +1,5 @@
 // The data sets that papers of this field report on: how their scenes are recognised, how they are evaluated, and what
-// was published.
+// was published. One of them, `captures`, is none: any captures, of which nothing was published.
 #pragma once
 
 #include <filesystem>
@@ -23,7 +23,7 @@ struct DataSet {
   std::vector<std::string> scenes;  // that the published means are over; folders are called so, whatever their case
   std::string layout;               // what a scene's folder holds
   bool (*is_scene)(const std::filesystem::path&) = nullptr;
-  int width = 0, height = 0;  // px, of the published figures
+  int width = 0, height = 0;  // px, of the published figures; 0: none
   std::string split;          // which images are held out
   std::string background;     // white, none
   std::vector<PublishedResult> published;

@@ -51,7 +51,7 @@ const std::vector<Stage>& Table() {
        "nrff-train",
        "",
        {{"--scene", "pose"}},
-       {"preset", "set", "steps", "budget", "seed", "fine-levels", "sparse-depth", "device"},
+       {"preset", "set", "directional", "steps", "budget", "seed", "fine-levels", "sparse-depth", "device"},
        {},
        true,
        2048 * kMebibyte},

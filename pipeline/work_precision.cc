@@ -14,6 +14,7 @@
 #include "pipeline/report_summary.h"
 #include "pipeline/run.h"
 #include "pipeline/stage.h"
+#include "pipeline/trainings.h"
 
 namespace nrff {
 namespace {
@@ -23,63 +24,6 @@ namespace fs = std::filesystem;
 constexpr int kWorkPrecisionSchemaVersion = 1;
 constexpr char kFolder[] = "work-precision";
 constexpr double kPsnrMarks[] = {20, 22, 25, 27, 30, 33, 35};  // dB
-
-struct TrainingRun {
-  double budget_seconds;
-  int seed;
-  BranchRequest request;
-};
-
-// A workspace for one budget and seed, with the poses of the scene's own.
-TrainingRun MakeTrainingRun(const BranchRequest& scene, double budget, int seed) {
-  const std::string name = fmt::format("{}s-seed{}", budget, seed);
-  BranchRequest request = scene;
-  request.name = name;
-  request.workspace = Workspace(scene.workspace.root() / kFolder / name);
-  request.options.erase("steps");
-  request.options["budget"] = fmt::format("{}s", budget);
-  request.options["seed"] = std::to_string(seed);
-  request.options["bit-depth"] = "16";
-  request.workspace.Claim(request.capture);
-  for (const char* shared : {"ingest", "sfm", "pose"}) {
-    const fs::path link = request.workspace.Artifact(shared);
-    std::error_code error;
-    if (fs::exists(scene.workspace.Artifact(shared), error) && !fs::exists(fs::symlink_status(link, error))) {
-      fs::create_symlink(fs::path("../..") / shared, link);
-    }
-  }
-  return {budget, seed, std::move(request)};
-}
-
-Json RunRow(const fs::path& folder, const TrainingRun& run) {
-  const WorkspaceState state = ReadWorkspace(run.request.workspace.root());
-  const Json &train = state.Facts("train"), &eval = state.Facts("eval");
-  return {{"budget_seconds", run.budget_seconds},
-          {"seed", run.seed},
-          {"workspace", EscapePath(fs::proximate(state.root, fs::absolute(folder)))},
-          {"seconds", At(train, "seconds_training")},
-          {"seconds_evaluating", At(train, "seconds_evaluating")},
-          {"steps", At(train, "steps")},
-          {"samples", At(train, "samples")},
-          {"preset", At(train, "preset")},
-          {"threads", At(train, "threads")},
-          {"psnr", At(eval, "psnr")},
-          {"ssim", At(eval, "ssim")},
-          {"lpips", At(eval, "lpips")}};
-}
-
-// {mean, least, most} of a figure of the rows; null where some row has none.
-Json Band(const std::vector<Json>& rows, const char* key) {
-  double sum = 0, least = HUGE_VAL, most = -HUGE_VAL;
-  for (const Json& row : rows) {
-    if (!row.at(key).is_number()) return nullptr;
-    const double value = row.at(key).get<double>();
-    sum += value;
-    least = std::min(least, value);
-    most = std::max(most, value);
-  }
-  return rows.empty() ? Json() : Json({{"mean", sum / double(rows.size())}, {"least", least}, {"most", most}});
-}
 
 Json Bands(const Json& runs, const std::vector<double>& budgets) {
   Json bands = Json::array();
@@ -115,25 +59,25 @@ Json TimeTo(const Json& bands) {
 }
 
 Json Training(const BranchRequest& scene, const WorkPrecisionOptions& options, Verbosity verbosity) {
-  const bool posed = Get<bool>(scene.workspace.Require("ingest").facts, "posed", "ingest's manifest");
-  const Machine machine = ThisMachine();
-  std::vector<TrainingRun> runs;
+  const fs::path folder = scene.workspace.root() / kFolder;
   std::vector<BranchRequest> requests;
-  std::vector<WorkspaceLock> locks;
-  std::vector<Node> nodes;
+  std::vector<double> budgets;  // of each
   for (const double budget : options.budgets) {
     for (int seed = 0; seed < options.n_seeds; ++seed) {
-      runs.push_back(MakeTrainingRun(scene, budget, seed));
-      const BranchRequest& request = runs.back().request;
-      requests.push_back(request);
-      locks.emplace_back(request.workspace);
-      request.workspace.WriteMarker({request.capture, request.options});
-      for (Node& node : BranchOnPoses(request, machine, posed)) nodes.push_back(std::move(node));
+      BranchRequest request = TrainingBeside(scene, folder / fmt::format("{}s-seed{}", budget, seed));
+      request.options["budget"] = fmt::format("{}s", budget);
+      request.options["seed"] = std::to_string(seed);
+      requests.push_back(std::move(request));
+      budgets.push_back(budget);
     }
   }
-  ThrowIfFailed(RunBranches(requests, std::move(nodes), machine, verbosity));
+  RunTrainings(scene, requests, verbosity);
   Json rows = Json::array();
-  for (const TrainingRun& run : runs) rows.push_back(RunRow(scene.workspace.root() / kFolder, run));
+  for (size_t i = 0; i < requests.size(); ++i) {
+    Json row = TrainingRow(folder, requests[i]);
+    row["budget_seconds"] = budgets[i];
+    rows.push_back(row);
+  }
   const Json bands = Bands(rows, options.budgets);
   return {{"budgets", options.budgets},
           {"seeds", options.n_seeds},

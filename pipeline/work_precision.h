@@ -4,8 +4,7 @@
 //     name
 //     parts      that were asked for; the others are null
 //     training   {budgets: [s], seeds
-//                 runs [{budget_seconds, seed, workspace, seconds, seconds_evaluating, steps, samples, preset,
-//                        threads, psnr, ssim, lpips}]: seconds of training alone; figures of all held-out views
+//                 runs [{budget_seconds, and as TrainingRow says}]: figures of all held-out views
 //                 bands [{budget_seconds, presets {NAME: runs}, seconds, steps, samples, psnr, ssim, lpips: {mean,
 //                         least, most} or null}]
 //                 time_to [{psnr, seconds: the shortest measured training whose mean reaches it, or null}]}

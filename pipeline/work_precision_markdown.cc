@@ -8,13 +8,6 @@
 namespace nrff {
 namespace {
 
-std::string BandText(const Json& band, const char* format) {
-  if (!band.is_object()) return "–";
-  const std::string mean = Figure(band.at("mean"), format), least = Figure(band.at("least"), format),
-                    most = Figure(band.at("most"), format);
-  return least == most ? mean : fmt::format("{} ({} to {})", mean, least, most);
-}
-
 // "small", or "small 2, tiny 1" where the machine's speed decided differently from run to run.
 std::string Presets(const Json& band) {
   std::string text;

@@ -138,5 +138,50 @@ TEST_F(DriverTest, WorkPrecisionEstimatesPosesThatTheCaptureBringsFromItsPhotosA
             (Params{{"matching", "sequential"}, {"sfm-features", "2048"}, {"sfm-image-size", "500"}}));
 }
 
+TEST_F(DriverTest, AblationTrainsEverySettingOfThePaperForEqualSteps) {
+  const std::map<std::string, std::string> posed = {{"FAKE_POSED", "1"}};
+  RunFox({"--budget", "9s", "--set", "train.rays=512", "--directional", "ree"}, posed);
+  Ran();
+  const std::vector<std::string> command = {"benchmark", "ablation", Path("work"), "--steps", "70", "--seeds", "2"};
+  const ProgramResult result = Nrff(command, posed);
+  EXPECT_EQ(result.exit_code, 0) << result.err;
+  EXPECT_THAT(result.out, HasSubstr("| vector-matrix + PE | 21.50 | 0.7500 | – | 1000 | – | – | 34.10 |"));
+  EXPECT_THAT(result.out, HasSubstr("| **MTD + REE** |"));
+  EXPECT_THAT(result.out, HasSubstr("| **4 levels** |"));
+  const std::vector<std::string> ran = Ran();
+  // Six models and five numbers of levels, of which the scene's own is one of the models.
+  EXPECT_EQ(std::count(ran.begin(), ran.end(), "train"), 2 * 10);
+  EXPECT_EQ(std::count(ran.begin(), ran.end(), "ingest") + std::count(ran.begin(), ran.end(), "pose"), 0);
+  const Json json = ReadJson(root_ / "work/ablation/ablation.json");
+  EXPECT_EQ(json["steps"], 70);
+  EXPECT_EQ(json["groups"][0]["rows"].size(), 6);
+  EXPECT_EQ(json["groups"][1]["rows"].size(), 5);
+  for (const Json& group : json["groups"]) {
+    for (const Json& row : group["rows"]) {
+      EXPECT_EQ(row["runs"].size(), 2);
+      EXPECT_EQ(row["runs"][1]["seed"], 1);
+      EXPECT_EQ(row["runs"][0]["steps"], 70);
+    }
+  }
+  const Params params = RequireArtifact(root_ / "work/ablation/vm-pe-seed1/train", "train").params;
+  EXPECT_THAT(params.at("set"), HasSubstr("train.rays=512 field.levels=1 field.base_resolution=64"));
+  EXPECT_THAT(params.at("set"), HasSubstr("field.directional_encoding=\"pe\""));
+  EXPECT_FALSE(params.contains("directional") || params.contains("budget"));
+  EXPECT_TRUE(fs::exists(root_ / "work/ablation/ablation.html"));
+
+  // Nothing is done twice; the steps are those of the scene's model where none are given.
+  EXPECT_EQ(Nrff(command, posed).exit_code, 0);
+  EXPECT_THAT(Ran(), IsEmpty());
+  EXPECT_EQ(Nrff({"benchmark", "ablation", Path("work"), "--quiet"}, posed).exit_code, 0);
+  EXPECT_EQ(ReadJson(root_ / "work/ablation/ablation.json")["steps"], 8000);
+}
+
+TEST_F(DriverTest, AblationNeedsATrainedModel) {
+  RunFox({"--until", "pose"});
+  const ProgramResult result = Nrff({"benchmark", "ablation", Path("work")});
+  EXPECT_EQ(result.exit_code, 3);
+  EXPECT_THAT(result.err, HasSubstr("has no finished train yet"));
+}
+
 }  // namespace
 }  // namespace nrff

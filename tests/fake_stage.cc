@@ -35,7 +35,8 @@ void Note(const std::string& line) {
 
 const std::set<std::string> kParams = {"preset",       "steps",       "budget",         "seed",        "max-image-size",
                                        "undistortion", "contraction", "matching",       "set",         "fine-levels",
-                                       "sparse-depth", "bit-depth",   "sfm-image-size", "sfm-features"};
+                                       "sparse-depth", "bit-depth",   "sfm-image-size", "sfm-features",
+                                       "directional"};
 const std::set<std::string> kInputs = {"ingest", "sfm", "scene", "model", "renders"};
 
 }  // namespace
@@ -155,9 +156,14 @@ int main(int argc, char** argv) {
   }
   artifact.facts() = facts;
   if (stage == "eval") artifact.facts().update({{"psnr", 21.5}, {"ssim", 0.75}});
+  if (stage == "train") {
+    artifact.facts().update({{"steps", options.contains("steps") ? std::stoi(options["steps"]) : 8000},
+                             {"preset", "small"},
+                             {"n_parameters", 1000},
+                             {"settings", {{"field", {{"levels", 4}, {"base_resolution", 16}, {"max_resolution", 64}}}}}});
+  }
   if (stage == "train" && options.contains("budget")) {
     artifact.facts()["seconds_training"] = std::stod(options["budget"]);
-    artifact.facts()["preset"] = "small";
   }
   if (stage == "pose")
     artifact.AddDecision({"undistortion", false, "largest displacement 0.03 px", "0.1 px", "no lens"});

@@ -24,6 +24,7 @@ struct Case {
   LossWeights weights;
   double stop = 1e-4, threshold = 1e-4;
   int n_depths = 0;
+  void (*change)(FieldConfig&) = [](FieldConfig&) {};
 };
 
 void PrintTo(const Case& c, std::ostream* out) { *out << c.name; }
@@ -45,6 +46,7 @@ FieldConfig SmallField(const Case& c) {
   config.directional_layers = 3;
   config.directional_width = 20;
   config.activation = c.activation;
+  c.change(config);
   return config;
 }
 
@@ -59,6 +61,12 @@ Rays Aimed(int64_t n, int seed) {
 Samples InDouble(Samples samples) {
   for (Tensor* tensor : {&samples.t, &samples.delta, &samples.points}) *tensor = tensor->to(torch::kDouble);
   return samples;
+}
+
+Case With(const char* name, void (*change)(FieldConfig&)) {
+  Case c{name, false, Activation::kGelu, {.orientation = 0.3, .density_l1 = 8e-5}};
+  c.change = change;
+  return c;
 }
 
 class TrainingStepTest : public ::testing::TestWithParam<Case> {};
@@ -139,7 +147,21 @@ INSTANTIATE_TEST_SUITE_P(
                            {.orientation = 0.3, .sparsity = 1e-3, .depth = 0.1},
                            0.01,
                            0.01,
-                           100}),
+                           100},
+                      With("IntegratedDirectionalEncoding",
+                           [](FieldConfig& f) { f.directional_encoding = DirectionalEncoding::kIde; }),
+                      With("PositionalEncoding",
+                           [](FieldConfig& f) { f.directional_encoding = DirectionalEncoding::kPe; }),
+                      With("DiffuseAlone",
+                           [](FieldConfig& f) { f.directional_encoding = DirectionalEncoding::kNone; }),
+                      With("VectorMatrixDecoded",
+                           [](FieldConfig& f) {
+                             f.levels = 1;
+                             f.base_resolution = f.max_resolution;
+                             f.density_channels = 8;
+                             f.appearance_channels = 12;
+                             f.decoded_features = 7;
+                           })),
     [](const auto& info) { return info.param.name; });
 
 }  // namespace

@@ -34,7 +34,7 @@ struct GridLayout {
     std::array<int64_t, 3> plane_offsets;  // elements, by product
     std::array<int64_t, 3> line_offsets;
   };
-  int n_channels = 0;  // 2 or 4
+  int n_channels = 0;  // C of an entry of `levels`, 2 or 4; a level of more channels is several entries of 4
   std::vector<Level> levels;
   int64_t n_parameters = 0;
 
@@ -42,8 +42,8 @@ struct GridLayout {
   int n_features() const { return n_products() * n_channels; }
 };
 
-// Resolutions ⌊base · b^l⌋ with b such that the last level has `max_resolution`. Throws std::invalid_argument unless
-// n_levels ≥ 1, 2 ≤ base ≤ max and n_channels is 2 or 4.
+// Resolutions ⌊base · b^l⌋ with b such that the last level has `max_resolution`; a single level has base = max. Throws
+// std::invalid_argument unless n_levels ≥ 1, 2 ≤ base ≤ max and n_channels, a level's, is 2 or a multiple of 4.
 GridLayout MakeGridLayout(int n_levels, int base_resolution, int max_resolution, int n_channels);
 
 // points [n, 3]; parameters [layout.n_parameters]; Scalar is float or double. One thread's work: callers split points

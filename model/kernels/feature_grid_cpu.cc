@@ -9,25 +9,34 @@
 namespace nrff {
 
 GridLayout MakeGridLayout(int n_levels, int base_resolution, int max_resolution, int n_channels) {
-  if (n_levels < 1 || base_resolution < 2 || max_resolution < base_resolution || (n_channels != 2 && n_channels != 4)) {
-    throw std::invalid_argument("grid layout: need levels >= 1, 2 <= base <= max resolution, 2 or 4 channels");
+  constexpr int kGroup = 4;  // channels that kernels work on at once
+  if (n_levels < 1 || base_resolution < 2 || max_resolution < base_resolution ||
+      (n_channels != 2 && (n_channels < kGroup || n_channels % kGroup != 0))) {
+    throw std::invalid_argument(
+        "grid layout: need levels >= 1, 2 <= base <= max resolution, channels 2 or a multiple of 4");
+  }
+  if (n_levels == 1 && base_resolution != max_resolution) {
+    throw std::invalid_argument("grid layout: a single level has one resolution, base = max");
   }
   GridLayout layout;
-  layout.n_channels = n_channels;
+  layout.n_channels = std::min(n_channels, kGroup);
   const double log_growth = n_levels > 1 ? std::log(double(max_resolution) / base_resolution) / (n_levels - 1) : 0;
   for (int l = 0; l < n_levels; ++l) {
     GridLayout::Level level{};
     // The small term keeps levels that are whole numbers from being rounded down.
     level.resolution = int(std::floor(base_resolution * std::exp(l * log_growth) + 1e-9));
-    for (int64_t& offset : level.plane_offsets) {
-      offset = layout.n_parameters;
-      layout.n_parameters += int64_t(level.resolution) * level.resolution * n_channels;
+    const int64_t n_line = int64_t(level.resolution) * layout.n_channels;
+    for (int c = 0; c < n_channels; c += layout.n_channels) {
+      for (int64_t& offset : level.plane_offsets) {
+        offset = layout.n_parameters;
+        layout.n_parameters += level.resolution * n_line;
+      }
+      for (int64_t& offset : level.line_offsets) {
+        offset = layout.n_parameters;
+        layout.n_parameters += n_line;
+      }
+      layout.levels.push_back(level);
     }
-    for (int64_t& offset : level.line_offsets) {
-      offset = layout.n_parameters;
-      layout.n_parameters += int64_t(level.resolution) * n_channels;
-    }
-    layout.levels.push_back(level);
   }
   return layout;
 }

@@ -1,5 +1,5 @@
-// The networks of NRFF on a tile of samples, forward and backward: spatial network, rendering equation encoding,
-// directional network, colour (model/nrff_field.h has the formulae). float, one thread, no allocation after Reserve.
+// The networks of NRFF on a tile of samples, forward and backward: spatial network, directional encoding, directional
+// network, colour (model/nrff_field.h has the formulae). float, one thread, no allocation after Reserve.
 //
 // A tile keeps a feature's values of all its samples side by side, in rows of `stride` floats: every operation runs
 // over samples in vectors, whatever the widths of the networks. All of a tile's rows together should stay in the
@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "model/kernels/activation.h"
+#include "model/kernels/directional_encoding.h"
 #include "model/kernels/ree.h"
 #include "model/kernels/tile_gemm.h"
 
@@ -26,8 +27,10 @@ struct LinearLayer {
 };
 
 struct ShadingNetworks {
+  bool decodes = false;  // whether spatial begins with a layer that no activation follows
   std::vector<LinearLayer> spatial, directional;
-  LinearLayer lobe_layer;  // shared by the rows of lobes
+  DirectionalEncoding encoding = DirectionalEncoding::kRee;
+  LinearLayer lobe_layer;  // shared by the rows of lobes; with kRee alone, as lobes
   Lobes lobes;
   int bottleneck_width = 0;
   Activation activation = Activation::kRelu;
@@ -55,7 +58,7 @@ class ShadingGradients {
     int64_t stride = 0;
     float* bias = nullptr;  // [n_out]
   };
-  // Spatial layers, the lobe layer, directional layers: the order of NrffField's parameters.
+  // Spatial layers, the lobe layer where there is one, directional layers: the order of NrffField's parameters.
   const std::vector<Layer>& layers() const { return layers_; }
   void Clear();
 
@@ -80,7 +83,7 @@ class ShadingTile {
   float* ray_directions() { return Row(directions_); }  // 3 rows, unit
   // Outputs of Forward.
   const float* rgb() const { return Row(rgb_); }         // 3 rows
-  const float* normals() const { return Row(normal_); }  // 3 rows
+  const float* normals() const { return Row(normal_); }  // 3 rows; zero with DirectionalEncoding::kNone
 
   void Forward(const ShadingNetworks& networks, int64_t n);
 
@@ -102,13 +105,17 @@ class ShadingTile {
   float* Row(int row) { return values_.data() + offset_ + row * stride_; }
   const float* Row(int row) const { return values_.data() + offset_ + row * stride_; }
 
+  void Encode(const ShadingNetworks& networks, int64_t n);
+  void EncodeBackward(const ShadingNetworks& networks, int64_t n, std::span<const ShadingGradients::Layer> gradients);
   void ForwardLayer(const LinearLayer& layer, const float* input, int64_t n, float* output,
                     std::optional<Activation> activation = {}, float* derivative = nullptr) const;
-  void ForwardNetwork(const std::vector<LinearLayer>& layers, const std::vector<Hidden>& hidden, int input, int output,
-                      Activation activation, int64_t n);
+  // The layers before `first_activated` are followed by no activation.
+  void ForwardNetwork(const std::vector<LinearLayer>& layers, size_t first_activated, const std::vector<Hidden>& hidden,
+                      int input, int output, Activation activation, int64_t n);
   // d_output → d_input, by way of the rows scratch_[0] and scratch_[1].
-  void BackwardNetwork(const std::vector<LinearLayer>& layers, const std::vector<Hidden>& hidden, int input,
-                       int d_output, int d_input, int64_t n, std::span<const ShadingGradients::Layer> gradients);
+  void BackwardNetwork(const std::vector<LinearLayer>& layers, size_t first_activated,
+                       const std::vector<Hidden>& hidden, int input, int d_output, int d_input, int64_t n,
+                       std::span<const ShadingGradients::Layer> gradients);
   // derivative: of the activation that made `input`, or null.
   void BackwardLayer(const LinearLayer& layer, int input, const float* derivative, int d_output, int d_input, int64_t n,
                      const ShadingGradients::Layer& gradient);
@@ -120,8 +127,8 @@ class ShadingTile {
   std::vector<float> values_, transposed_;
   int widest_ = 0;
   // First rows of what the tile keeps.
-  int features_, directions_, spatial_out_, normal_, inverse_norm_, cosine_, reflected_, lobe_raw_, directional_in_,
-      specular_, rgb_;
+  int features_ = 0, directions_ = 0, spatial_out_ = 0, normal_ = 0, rgb_ = 0;
+  int inverse_norm_ = 0, cosine_ = 0, reflected_ = 0, lobe_raw_ = 0, directional_in_ = 0, specular_ = 0;
   int d_rgb_ = 0, d_normal_ = 0, d_features_ = 0, d_spatial_out_ = 0, d_reflected_ = 0, d_lobe_raw_ = 0,
       d_directional_in_ = 0, d_specular_ = 0;  // with backward alone
   int scratch_[2];

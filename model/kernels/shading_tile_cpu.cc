@@ -128,14 +128,20 @@ NRFF_MULTIVERSION void EncodeLobeBackward(const Lobe& lobe, const float* o, cons
   }
 }
 
+NRFF_INLINE float Sigmoid(float x) {
+  const float e = FastExp(x > 0 ? -x : x);
+  return (x > 0 ? 1.F : e) / (1 + e);
+}
+
 // rgb = sigmoid(diffuse + tint ⊙ specular), row by row.
 NRFF_MULTIVERSION void Colour(const float* diffuse, const float* tint, const float* specular, int64_t n, float* rgb) {
   NRFF_ROWS_DISTINCT
-  for (int64_t s = 0; s < n; ++s) {
-    const float x = diffuse[s] + tint[s] * specular[s];
-    const float e = FastExp(x > 0 ? -x : x);
-    rgb[s] = (x > 0 ? 1.F : e) / (1 + e);
-  }
+  for (int64_t s = 0; s < n; ++s) rgb[s] = Sigmoid(diffuse[s] + tint[s] * specular[s]);
+}
+
+NRFF_MULTIVERSION void DiffuseColour(const float* diffuse, int64_t n, float* rgb) {
+  NRFF_ROWS_DISTINCT
+  for (int64_t s = 0; s < n; ++s) rgb[s] = Sigmoid(diffuse[s]);
 }
 
 NRFF_MULTIVERSION void ColourBackward(const float* tint, const float* specular, const float* rgb, const float* d_rgb,
@@ -149,13 +155,25 @@ NRFF_MULTIVERSION void ColourBackward(const float* tint, const float* specular, 
   }
 }
 
+NRFF_MULTIVERSION void DiffuseColourBackward(const float* rgb, const float* d_rgb, int64_t n, float* d_diffuse) {
+  NRFF_ROWS_DISTINCT
+  for (int64_t s = 0; s < n; ++s) d_diffuse[s] = d_rgb[s] * rgb[s] * (1 - rgb[s]);
+}
+
+// Pointers to them, in the order of ShadingGradients::layers.
+template <typename Networks>
+auto LayersOf(Networks& networks) {
+  std::vector<decltype(&networks.lobe_layer)> layers;
+  for (auto& layer : networks.spatial) layers.push_back(&layer);
+  if (networks.encoding == DirectionalEncoding::kRee) layers.push_back(&networks.lobe_layer);
+  for (auto& layer : networks.directional) layers.push_back(&layer);
+  return layers;
+}
+
 }  // namespace
 
 void PackedNetworks::Pack(ShadingNetworks& networks, bool backward) {
-  std::vector<LinearLayer*> layers;
-  for (LinearLayer& layer : networks.spatial) layers.push_back(&layer);
-  layers.push_back(&networks.lobe_layer);
-  for (LinearLayer& layer : networks.directional) layers.push_back(&layer);
+  const auto layers = LayersOf(networks);
   weights_.resize(2 * layers.size());
   for (size_t l = 0; l < layers.size(); ++l) {
     LinearLayer& layer = *layers[l];
@@ -169,17 +187,15 @@ void PackedNetworks::Pack(ShadingNetworks& networks, bool backward) {
 }
 
 ShadingGradients::ShadingGradients(const ShadingNetworks& networks) {
-  std::vector<LinearLayer> layers = networks.spatial;
-  layers.push_back(networks.lobe_layer);
-  layers.insert(layers.end(), networks.directional.begin(), networks.directional.end());
+  const auto layers = LayersOf(networks);
   int64_t n = 0;
-  for (const LinearLayer& layer : layers) n += layer.n_out * (PaddedInputs(layer.n_in) + 1);
+  for (const LinearLayer* layer : layers) n += layer->n_out * (PaddedInputs(layer->n_in) + 1);
   values_.assign(n, 0.F);
   float* next = values_.data();
-  for (const LinearLayer& layer : layers) {
-    const int64_t stride = PaddedInputs(layer.n_in);
-    layers_.push_back({next, stride, next + layer.n_out * stride});
-    next += layer.n_out * (stride + 1);
+  for (const LinearLayer* layer : layers) {
+    const int64_t stride = PaddedInputs(layer->n_in);
+    layers_.push_back({next, stride, next + layer->n_out * stride});
+    next += layer->n_out * (stride + 1);
   }
 }
 
@@ -187,7 +203,9 @@ void ShadingGradients::Clear() { std::fill(values_.begin(), values_.end(), 0.F);
 
 ShadingTile::ShadingTile(const ShadingNetworks& networks, bool backward, GemmPrecision precision)
     : backward_(backward), precision_(precision) {
-  const int n_directional_in = networks.directional.front().n_in, n_lobes = networks.lobes.size();
+  const bool directional = networks.encoding != DirectionalEncoding::kNone;
+  const int n_directional_in = directional ? networks.directional.front().n_in : 0;
+  const int n_lobes = networks.lobes.size();
   const auto add_hidden = [this](const std::vector<LinearLayer>& layers, std::vector<Hidden>& hidden) {
     for (const LinearLayer& layer : layers) {
       widest_ = std::max({widest_, layer.n_in, layer.n_out});
@@ -201,13 +219,15 @@ ShadingTile::ShadingTile(const ShadingNetworks& networks, bool backward, GemmPre
   add_hidden(networks.spatial, spatial_hidden_);
   spatial_out_ = AddRows(networks.spatial.back().n_out);
   normal_ = AddRows(3);
-  inverse_norm_ = AddRows(1);
-  reflected_ = AddRows(3);
-  lobe_raw_ = AddRows(n_lobes * kLobeParameters);
-  directional_in_ = AddRows(n_directional_in);
-  cosine_ = directional_in_ + n_directional_in - 1;
-  add_hidden(networks.directional, directional_hidden_);
-  specular_ = AddRows(3);
+  if (directional) {
+    inverse_norm_ = AddRows(1);
+    reflected_ = AddRows(3);
+    lobe_raw_ = AddRows(n_lobes * kLobeParameters);
+    directional_in_ = AddRows(n_directional_in);
+    cosine_ = directional_in_ + n_directional_in - 1;
+    add_hidden(networks.directional, directional_hidden_);
+    specular_ = AddRows(3);
+  }
   rgb_ = AddRows(3);
   for (int& scratch : scratch_) scratch = AddRows(widest_);
   if (!backward_) {
@@ -222,6 +242,7 @@ ShadingTile::ShadingTile(const ShadingNetworks& networks, bool backward, GemmPre
   d_normal_ = AddRows(3);
   d_features_ = AddRows(networks.spatial.front().n_in);
   d_spatial_out_ = AddRows(networks.spatial.back().n_out);
+  if (!directional) return;
   d_reflected_ = AddRows(3);
   d_lobe_raw_ = AddRows(n_lobes * kLobeParameters);
   d_directional_in_ = AddRows(n_directional_in);
@@ -265,42 +286,59 @@ void ShadingTile::ForwardLayer(const LinearLayer& layer, const float* input, int
             .precision = precision_});
 }
 
-void ShadingTile::ForwardNetwork(const std::vector<LinearLayer>& layers, const std::vector<Hidden>& hidden, int input,
-                                 int output, Activation activation, int64_t n) {
+void ShadingTile::ForwardNetwork(const std::vector<LinearLayer>& layers, size_t first_activated,
+                                 const std::vector<Hidden>& hidden, int input, int output, Activation activation,
+                                 int64_t n) {
   for (size_t i = 0; i < layers.size(); ++i) {
     const bool last = i + 1 == layers.size();
     const float* from = Row(i == 0 ? input : hidden[i - 1].after);
-    if (last) {
-      ForwardLayer(layers[i], from, n, Row(output));
+    float* to = Row(last ? output : hidden[i].after);
+    if (last || i < first_activated) {
+      ForwardLayer(layers[i], from, n, to);
     } else {
-      ForwardLayer(layers[i], from, n, Row(hidden[i].after), activation,
-                   backward_ ? Row(hidden[i].derivative) : nullptr);
+      ForwardLayer(layers[i], from, n, to, activation, backward_ ? Row(hidden[i].derivative) : nullptr);
     }
   }
 }
 
 void ShadingTile::Forward(const ShadingNetworks& networks, int64_t n_samples) {
   const int64_t n = RoundUp(n_samples, kSamplesMultiple);
-  ForwardNetwork(networks.spatial, spatial_hidden_, features_, spatial_out_, networks.activation, n);
+  ForwardNetwork(networks.spatial, networks.decodes ? 1 : 0, spatial_hidden_, features_, spatial_out_,
+                 networks.activation, n);
   const float* out = Row(spatial_out_);
+  if (networks.encoding == DirectionalEncoding::kNone) {
+    for (int c = 0; c < 3; ++c) DiffuseColour(out + (kDiffuse + c) * stride_, n, Row(rgb_ + c));
+    return;
+  }
   Reflect(out + kNormal * stride_, Row(directions_), n, stride_, Row(normal_), Row(inverse_norm_), Row(cosine_),
           Row(reflected_));
-  const int bottleneck = networks.bottleneck_width;
-  for (int r = 0; r < bottleneck; ++r) {
+  for (int r = 0; r < networks.bottleneck_width; ++r) {
     std::memcpy(Row(directional_in_ + r), out + (kBottleneck + r) * stride_, n * sizeof(float));
   }
-  const LinearLayer& lobe_layer = networks.lobe_layer;
-  for (int row = 0; row < networks.lobes.n_theta; ++row) {
-    ForwardLayer(lobe_layer, out + (kBottleneck + bottleneck + row * lobe_layer.n_in) * stride_, n,
-                 Row(lobe_raw_ + row * lobe_layer.n_out));
-  }
-  for (int k = 0; k < networks.lobes.size(); ++k) {
-    EncodeLobe(Lobe(networks.lobes, k), Row(reflected_), Row(lobe_raw_ + k * kLobeParameters), n, stride_,
-               Row(directional_in_ + bottleneck + k * kLobeAmplitudes));
-  }
-  ForwardNetwork(networks.directional, directional_hidden_, directional_in_, specular_, networks.activation, n);
+  Encode(networks, n);
+  ForwardNetwork(networks.directional, 0, directional_hidden_, directional_in_, specular_, networks.activation, n);
   for (int c = 0; c < 3; ++c) {
     Colour(out + (kDiffuse + c) * stride_, out + (kTint + c) * stride_, Row(specular_ + c), n, Row(rgb_ + c));
+  }
+}
+
+// What the spatial network leaves for it lies behind the bottleneck; so does the encoding in the directional input.
+void ShadingTile::Encode(const ShadingNetworks& networks, int64_t n) {
+  const int share = spatial_out_ + kBottleneck + networks.bottleneck_width;
+  const int encoding = directional_in_ + networks.bottleneck_width;
+  if (networks.encoding == DirectionalEncoding::kIde) {
+    IdeForwardRows(Row(reflected_), Row(share), n, stride_, Row(encoding));
+  } else if (networks.encoding == DirectionalEncoding::kPe) {
+    PeForwardRows(Row(directions_), n, stride_, Row(encoding));
+  } else {
+    const LinearLayer& lobe_layer = networks.lobe_layer;
+    for (int row = 0; row < networks.lobes.n_theta; ++row) {
+      ForwardLayer(lobe_layer, Row(share + row * lobe_layer.n_in), n, Row(lobe_raw_ + row * lobe_layer.n_out));
+    }
+    for (int k = 0; k < networks.lobes.size(); ++k) {
+      EncodeLobe(Lobe(networks.lobes, k), Row(reflected_), Row(lobe_raw_ + k * kLobeParameters), n, stride_,
+                 Row(encoding + k * kLobeAmplitudes));
+    }
   }
 }
 
@@ -334,14 +372,15 @@ void ShadingTile::BackwardLayer(const LinearLayer& layer, int input, const float
             .factor = derivative});
 }
 
-void ShadingTile::BackwardNetwork(const std::vector<LinearLayer>& layers, const std::vector<Hidden>& hidden, int input,
-                                  int d_output, int d_input, int64_t n,
+void ShadingTile::BackwardNetwork(const std::vector<LinearLayer>& layers, size_t first_activated,
+                                  const std::vector<Hidden>& hidden, int input, int d_output, int d_input, int64_t n,
                                   std::span<const ShadingGradients::Layer> gradients) {
   int d = d_output;
   for (int i = int(layers.size()) - 1; i >= 0; --i) {
     const int next = i == 0 ? d_input : scratch_[i % 2];
-    BackwardLayer(layers[i], i == 0 ? input : hidden[i - 1].after, i == 0 ? nullptr : Row(hidden[i - 1].derivative), d,
-                  next, n, gradients[i]);
+    const bool activated = i > int(first_activated);
+    BackwardLayer(layers[i], i == 0 ? input : hidden[i - 1].after, activated ? Row(hidden[i - 1].derivative) : nullptr,
+                  d, next, n, gradients[i]);
     d = next;
   }
 }
@@ -349,34 +388,51 @@ void ShadingTile::BackwardNetwork(const std::vector<LinearLayer>& layers, const 
 void ShadingTile::Backward(const ShadingNetworks& networks, int64_t n_samples, const ShadingGradients& gradients) {
   const int64_t n = RoundUp(n_samples, kSamplesMultiple);
   const std::span<const ShadingGradients::Layer> layers(gradients.layers());
-  const size_t n_spatial = networks.spatial.size();
-  for (int c = 0; c < 3; ++c) {
-    ColourBackward(Row(spatial_out_ + kTint + c), Row(specular_ + c), Row(rgb_ + c), Row(d_rgb_ + c), n,
-                   Row(d_spatial_out_ + kDiffuse + c), Row(d_spatial_out_ + kTint + c), Row(d_specular_ + c));
+  const size_t n_spatial = networks.spatial.size(), n_directional = networks.directional.size();
+  if (networks.encoding == DirectionalEncoding::kNone) {
+    for (int c = 0; c < 3; ++c) DiffuseColourBackward(Row(rgb_ + c), Row(d_rgb_ + c), n, Row(d_spatial_out_ + c));
+  } else {
+    for (int c = 0; c < 3; ++c) {
+      ColourBackward(Row(spatial_out_ + kTint + c), Row(specular_ + c), Row(rgb_ + c), Row(d_rgb_ + c), n,
+                     Row(d_spatial_out_ + kDiffuse + c), Row(d_spatial_out_ + kTint + c), Row(d_specular_ + c));
+    }
+    BackwardNetwork(networks.directional, 0, directional_hidden_, directional_in_, d_specular_, d_directional_in_, n,
+                    layers.last(n_directional));
+    for (int r = 0; r < networks.bottleneck_width; ++r) {
+      std::memcpy(Row(d_spatial_out_ + kBottleneck + r), Row(d_directional_in_ + r), n * sizeof(float));
+    }
+    EncodeBackward(networks, n, layers.subspan(n_spatial, layers.size() - n_spatial - n_directional));
+    ReflectBackward(Row(normal_), Row(inverse_norm_), Row(cosine_), Row(directions_),
+                    Row(d_directional_in_ + cosine_ - directional_in_), Row(d_reflected_), Row(d_normal_), n, stride_,
+                    Row(d_spatial_out_ + kNormal));
   }
-  BackwardNetwork(networks.directional, directional_hidden_, directional_in_, d_specular_, d_directional_in_, n,
-                  layers.subspan(n_spatial + 1));
-  const int bottleneck = networks.bottleneck_width;
+  BackwardNetwork(networks.spatial, networks.decodes ? 1 : 0, spatial_hidden_, features_, d_spatial_out_, d_features_,
+                  n, layers.first(n_spatial));
+}
+
+// gradients: of the encoding's own layers.
+void ShadingTile::EncodeBackward(const ShadingNetworks& networks, int64_t n,
+                                 std::span<const ShadingGradients::Layer> gradients) {
+  const int share = kBottleneck + networks.bottleneck_width;
+  const int d_encoding = d_directional_in_ + networks.bottleneck_width;
+  if (networks.encoding == DirectionalEncoding::kIde) {
+    IdeBackwardRows(Row(reflected_), Row(spatial_out_ + share), Row(d_encoding), n, stride_, Row(d_reflected_),
+                    Row(d_spatial_out_ + share));
+    return;
+  }
   for (int k = 0; k < 3; ++k) std::fill_n(Row(d_reflected_ + k), n, 0.F);
+  if (networks.encoding == DirectionalEncoding::kPe) return;  // rays are given
   for (int k = 0; k < networks.lobes.size(); ++k) {
     EncodeLobeBackward(Lobe(networks.lobes, k), Row(reflected_), Row(lobe_raw_ + k * kLobeParameters),
-                       Row(d_directional_in_ + bottleneck + k * kLobeAmplitudes), n, stride_, Row(d_reflected_),
+                       Row(d_encoding + k * kLobeAmplitudes), n, stride_, Row(d_reflected_),
                        Row(d_lobe_raw_ + k * kLobeParameters));
   }
   const LinearLayer& lobe_layer = networks.lobe_layer;
   for (int row = 0; row < networks.lobes.n_theta; ++row) {
-    const int lobe_features = kBottleneck + bottleneck + row * lobe_layer.n_in;
+    const int lobe_features = share + row * lobe_layer.n_in;
     BackwardLayer(lobe_layer, spatial_out_ + lobe_features, nullptr, d_lobe_raw_ + row * lobe_layer.n_out,
-                  d_spatial_out_ + lobe_features, n, layers[n_spatial]);
+                  d_spatial_out_ + lobe_features, n, gradients[0]);
   }
-  for (int r = 0; r < bottleneck; ++r) {
-    std::memcpy(Row(d_spatial_out_ + kBottleneck + r), Row(d_directional_in_ + r), n * sizeof(float));
-  }
-  ReflectBackward(Row(normal_), Row(inverse_norm_), Row(cosine_), Row(directions_),
-                  Row(d_directional_in_ + cosine_ - directional_in_), Row(d_reflected_), Row(d_normal_), n, stride_,
-                  Row(d_spatial_out_ + kNormal));
-  BackwardNetwork(networks.spatial, spatial_hidden_, features_, d_spatial_out_, d_features_, n,
-                  layers.first(n_spatial));
 }
 
 }  // namespace nrff

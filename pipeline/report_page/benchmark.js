@@ -26,6 +26,7 @@ byId("scenes").append(makeTable([
   {label: "Memory", number: true, value: (scene) => scene.peak_memory_bytes, cell: (scene) => format.bytes(scene.peak_memory_bytes)},
 ], scenes, {stack: true}).element);
 
+byId("beside").hidden = published.length === 0;
 const everyScene = missing.length === 0 && scenes.every((scene) => scene.published && isNumber(scene.psnr));
 byId("published-hint").textContent = `Published means are over ${dataSet.scenes.join(", ")}. `
   + (everyScene ? "Ours is over the same scenes." : "Ours is over the scenes above: the two cannot be compared as they stand.");

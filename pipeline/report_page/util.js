@@ -56,6 +56,9 @@ const format = {
   },
 };
 
+// {mean, least, most} as "mean (least to most)", or as one figure where they are equal.
+const bandText = (band, show) => (!band ? DASH : band.least === band.most ? show(band.mean) : `${show(band.mean)} (${show(band.least)} to ${show(band.most)})`);
+
 const words = (key) => key.replaceAll("_", " ");
 
 // columns: {label, number, value(row): what is sorted by, cell(row): text or element; default the value as it is}.

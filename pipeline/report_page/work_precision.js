@@ -22,13 +22,12 @@ function showTraining() {
     trainingPlot("psnr", "PSNR", "dB", 2, true, (value) => value),
     trainingPlot("ssim", "1 − SSIM", "", 4, false, (value) => 1 - value),
     trainingPlot("lpips", "LPIPS", "", 4, false, (value) => value)].filter(Boolean));
-  const band = (value, show) => (!value ? DASH : value.least === value.most ? show(value.mean) : `${show(value.mean)} (${show(value.least)} to ${show(value.most)})`);
   byId("training-table").append(makeTable([
     {label: "Training", number: true, value: (row) => row.budget_seconds, cell: (row) => format.seconds(row.seconds?.mean)},
     {label: "Preset", value: (row) => presets(row)},
-    {label: "PSNR (dB)", number: true, value: (row) => row.psnr?.mean, cell: (row) => band(row.psnr, format.psnr)},
-    {label: "SSIM", number: true, value: (row) => row.ssim?.mean, cell: (row) => band(row.ssim, format.ssim)},
-    {label: "LPIPS", number: true, value: (row) => row.lpips?.mean, cell: (row) => band(row.lpips, format.ssim)},
+    {label: "PSNR (dB)", number: true, value: (row) => row.psnr?.mean, cell: (row) => bandText(row.psnr, format.psnr)},
+    {label: "SSIM", number: true, value: (row) => row.ssim?.mean, cell: (row) => bandText(row.ssim, format.ssim)},
+    {label: "LPIPS", number: true, value: (row) => row.lpips?.mean, cell: (row) => bandText(row.lpips, format.ssim)},
     {label: "Steps", number: true, value: (row) => row.steps?.mean, cell: (row) => format.count(Math.round(row.steps?.mean))},
     {label: "Density evaluations", number: true, value: (row) => row.samples?.mean, cell: (row) => format.large(Math.round(row.samples?.mean))},
   ], training.bands, {stack: true}).element);
