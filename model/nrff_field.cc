@@ -81,9 +81,11 @@ NrffField::NrffField(const FieldConfig& config, torch::Dtype type, uint64_t seed
     : config_(config),
       type_(type),
       density_layout_(c10::make_intrusive<SharedGridLayout>(
-          MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.density_channels))),
+          MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.density_channels,
+                         config.finest_left_out))),
       appearance_layout_(c10::make_intrusive<SharedGridLayout>(
-          MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.appearance_channels))),
+          MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.appearance_channels,
+                         config.finest_left_out))),
       lobes_(c10::make_intrusive<SharedLobes>(MakeLobes(config.lobes_theta, config.lobes_phi))) {
   density_grid_ = AddParameter("density_grid", {density_layout().n_parameters}, true);
   appearance_grid_ = AddParameter("appearance_grid", {appearance_layout().n_parameters}, true);
@@ -249,11 +251,6 @@ ShadingNetworks NrffField::Networks() const {
 
 namespace {
 
-// From this tolerance on products are in bf16. What that changes is measured, not bounded: a view of the paper's model
-// (that of tests/bench/step.cc, nearly every sample shaded by itself) moves by 4e-5 root mean square, 0.003 at the
-// most.
-constexpr double kBf16Tolerance = 0.25 / 255;
-
 class TileShader : public RadianceField::Shader {
  public:
   TileShader(const NrffField& field, GemmPrecision precision)
@@ -308,9 +305,25 @@ class TileShader : public RadianceField::Shader {
 
 }  // namespace
 
-std::unique_ptr<RadianceField::Shader> NrffField::MakeShader(double colour_tolerance) const {
+std::unique_ptr<RadianceField::Shader> NrffField::MakeShader(ShadingPrecision precision) const {
   return std::make_unique<TileShader>(
-      *this, colour_tolerance >= kBf16Tolerance ? GemmPrecision::kBf16 : GemmPrecision::kFloat);
+      *this, precision == ShadingPrecision::kBf16 ? GemmPrecision::kBf16 : GemmPrecision::kFloat);
+}
+
+// Levels are laid out one after the other, and their features and the columns of the layer that sees them, too.
+std::unique_ptr<RadianceField> NrffField::WithoutFinestLevels(int n) const {
+  FieldConfig config = config_;
+  config.finest_left_out += n;
+  if (config.finest_left_out >= config.levels) return nullptr;
+  auto coarser = std::make_unique<NrffField>(config, type_, /*seed=*/0);
+  const c10::NoGradGuard no_grad;
+  for (size_t i = 0; i < parameters_.size(); ++i) {
+    Tensor from = parameters_[i].value;
+    const Tensor& to = coarser->parameters_[i].value;
+    for (int64_t d = 0; d < to.dim(); ++d) from = from.narrow(d, 0, to.size(d));
+    to.copy_(from);
+  }
+  return coarser;
 }
 
 Tensor NrffField::DensityL1() const { return at::dot(density_grid_.abs(), density_l1_weights_); }

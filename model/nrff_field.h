@@ -40,7 +40,8 @@ class NrffField : public RadianceField {
 
   // By the kernels, which take float parameters alone.
   void DensityOf(const float* points, int64_t n, float* sigma) const override;
-  std::unique_ptr<Shader> MakeShader(double colour_tolerance) const override;
+  std::unique_ptr<Shader> MakeShader(ShadingPrecision precision) const override;
+  std::unique_ptr<RadianceField> WithoutFinestLevels(int n) const override;
   // Views of the parameters, for the kernels; valid as long as the field.
   ShadingNetworks Networks() const;
   const float* density_parameters() const { return density_grid_.const_data_ptr<float>(); }

@@ -23,7 +23,7 @@ class TileRenderer {
   TileRenderer(const RadianceField& field, const OccupancyGrid& occupancy, const SceneMap& map, const View& view,
                const RenderOptions& options)
       : field_(field),
-        shader_(field.MakeShader(options.colour_tolerance)),
+        shader_(field.MakeShader(options.precision)),
         view_(view),
         camera_{.fx = view.fx, .fy = view.fy, .cx = view.cx, .cy = view.cy},
         options_(options) {
@@ -121,6 +121,7 @@ RenderOptions PictureOptions(RenderOptions trained, int bits) {
   constexpr double kSixteenBitStep = 1.0 / 65535;
   const bool eight = bits == 8;
   trained.colour_tolerance = eight ? kEightBitTolerance : 0;
+  trained.precision = eight ? ShadingPrecision::kBf16 : ShadingPrecision::kFloat;
   trained.weight_threshold = eight ? 0 : kSixteenBitStep;
   trained.stop_transmittance = kSixteenBitStep;  // with 8 bits the tolerance ends rays before
   return trained;

@@ -54,7 +54,9 @@ void RadianceField::DensityOf(const float* points, int64_t n, float* sigma) cons
   CopyOut(Density(View(points, n)), sigma);
 }
 
-std::unique_ptr<RadianceField::Shader> RadianceField::MakeShader(double /*colour_tolerance*/) const {
+std::unique_ptr<RadianceField> RadianceField::WithoutFinestLevels(int /*n*/) const { return nullptr; }
+
+std::unique_ptr<RadianceField::Shader> RadianceField::MakeShader(ShadingPrecision /*precision*/) const {
   return std::make_unique<TensorShader>(*this);
 }
 

@@ -9,6 +9,9 @@
 
 namespace nrff {
 
+// Of the operands of the networks' products.
+enum class ShadingPrecision { kFloat, kBf16 };
+
 // Field coordinates: the scene map (scene_map.h) takes scene points to [-1, 1]³.
 class RadianceField {
  public:
@@ -40,8 +43,11 @@ class RadianceField {
     // spans [n], ray_directions [n, 3] → rgb, normals [n, 3]. A span of one sample shows its colour.
     virtual void Shade(const Span* spans, const float* ray_directions, int64_t n, float* rgb, float* normals) = 0;
   };
-  // For the use of one thread; the field must outlive it. colour_tolerance: by how much colours may be off for speed.
-  virtual std::unique_ptr<Shader> MakeShader(double colour_tolerance) const;
+  // For the use of one thread; the field must outlive it. A field may be more precise than asked for.
+  virtual std::unique_ptr<Shader> MakeShader(ShadingPrecision precision) const;
+
+  // A copy that lacks the n finest levels of its grids and is cheaper for it, n ≥ 0; null where it has no such levels.
+  virtual std::unique_ptr<RadianceField> WithoutFinestLevels(int n) const;
 };
 
 }  // namespace nrff

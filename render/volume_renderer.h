@@ -37,8 +37,9 @@ struct RenderOptions {
   // RenderImage alone: about how far a pixel's colour may be off to save shading; 0: every sample above the threshold
   // is shaded. Of these, those of least weight are left out as long as their weights sum to at most this: they take the
   // mean colour of the others. The rest is shaded in pairs and spans (ray_quadrature.h), whose error is estimated, not
-  // bounded, by networks that may round (RadianceField::MakeShader). Rays end where half of this is left of the light.
+  // bounded. Rays end where half of this is left of the light.
   double colour_tolerance = 0;
+  ShadingPrecision precision = ShadingPrecision::kFloat;  // RenderImage alone
   double stop_transmittance = 1e-4;  // a ray ends when T falls below; exact for the set w > threshold when ≤ it
   double background = 1;             // grey level behind everything
   // Jitter of the first sample of every ray, from the stream (seed, jitter_purpose at counter); none when not given.

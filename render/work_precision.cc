@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cmath>
 #include <functional>
+#include <memory>
 #include <string>
 
 #include "pipeline/progress.h"
@@ -16,10 +17,11 @@ using Clock = std::chrono::steady_clock;
 
 constexpr double kLimitStepShare = 1.0 / 8;
 constexpr int kLeastRepeats = 3, kMostRepeats = 8;
-constexpr double kEnoughSeconds = 1;     // of one setting
-constexpr double kTinyTolerance = 1e-6;  // of colours: every sample is shaded, networks may round (bf16)
+constexpr double kEnoughSeconds = 1;  // of one setting
 
 double SecondsSince(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
+
+constexpr double kMostLevelsLeftOut = 8;
 
 struct Family {
   std::string name, unit, meaning;
@@ -27,6 +29,7 @@ struct Family {
   std::vector<double> values;
   double chosen = 0;  // one of `values`: what nrff-render uses
   std::function<void(RenderOptions&, double)> set;
+  bool of_levels = false;  // values are numbers of levels that the field then lacks
 };
 
 // `values`, which fall, with what nrff-render uses among them.
@@ -41,10 +44,14 @@ RenderOptions Exact(RenderOptions options) {
   options.weight_threshold = 0;
   options.stop_transmittance = 0;
   options.colour_tolerance = 0;
+  options.precision = ShadingPrecision::kFloat;
   return options;
 }
 
-std::vector<Family> Families(const RenderOptions& trained) {
+std::vector<Family> Families(const RenderOptions& trained, const RadianceField& field) {
+  std::vector<double> levels;
+  for (double n = 0; n <= kMostLevelsLeftOut && field.WithoutFinestLevels(int(n)) != nullptr; ++n) levels.push_back(n);
+  std::reverse(levels.begin(), levels.end());
   const RenderOptions pictures = PictureOptions(trained, 8);
   const double picture_stop = std::max(pictures.stop_transmittance, 0.5 * pictures.colour_tolerance);
   return {
@@ -63,14 +70,25 @@ std::vector<Family> Families(const RenderOptions& trained) {
        [](RenderOptions& options, double value) { options.stop_transmittance = value; }},
       {"colour tolerance",
        "of 1",
-       "samples are shaded together as far as a colour may be off; networks in bf16",
+       "samples are shaded together as far as a colour may be off",
        false,
-       {4. / 255, 2. / 255, 1. / 255, kEightBitTolerance, 0.25 / 255, kTinyTolerance, 0},
+       {4. / 255, 2. / 255, 1. / 255, kEightBitTolerance, 0.25 / 255, 0.1 / 255, 0},
        kEightBitTolerance,
        [](RenderOptions& options, double value) { options.colour_tolerance = value; }},
+      {"precision",
+       "bits",
+       "of the factors of the networks' products: bf16 or float",
+       false,
+       {16, 32},
+       16,
+       [](RenderOptions& options, double value) {
+         options.precision = value < 32 ? ShadingPrecision::kBf16 : ShadingPrecision::kFloat;
+       }},
+      {"levels left out", "finest levels", "of the grids, without training again", false, levels, 0,
+       [](RenderOptions&, double) {}, true},
       {"as nrff-render",
        "bits a colour",
-       "weight threshold, early stop and colour tolerance together",
+       "weight threshold, early stop, colour tolerance and precision together",
        false,
        {8, 16},
        8,
@@ -116,18 +134,18 @@ class Sweep {
       : source_(source), views_(views), truth_(truth) {}
 
   Json Run() {
-    const std::vector<Family> families = Families(source_.options);
+    const std::vector<Family> families = Families(source_.options, source_.field);
     size_t n_points = 0;
     for (const Family& family : families) n_points += family.values.size();
     Progress progress("rendering at many settings", double(n_points + 2), "settings");
     RenderOptions limit = Exact(source_.options);
     limit.step *= kLimitStepShare;
-    Render(Exact(source_.options));  // fills caches and wakes the threads
+    Render(source_.field, Exact(source_.options));  // fills caches and wakes the threads
     const Clock::time_point start = Clock::now();
-    limit_ = Render(limit);
+    limit_ = Render(source_.field, limit);
     const double limit_seconds = SecondsSince(start) / double(views_.size());
     progress.Update(1);
-    exact_ = Render(Exact(source_.options));
+    exact_ = Render(source_.field, Exact(source_.options));
     progress.Update(2);
     Json result = {{"n_views", views_.size()}, {"reference_seconds", limit_seconds}, {"families", Json::array()}};
     double n_done = 2;
@@ -148,11 +166,11 @@ class Sweep {
   }
 
  private:
-  std::vector<RenderedImage> Render(const RenderOptions& options) const {
+  std::vector<RenderedImage> Render(const RadianceField& field, const RenderOptions& options) const {
     std::vector<RenderedImage> images;
     images.reserve(views_.size());
     for (const View& view : views_) {
-      images.push_back(RenderImage(source_.field, source_.occupancy, source_.map, view, options));
+      images.push_back(RenderImage(field, source_.occupancy, source_.map, view, options));
     }
     return images;
   }
@@ -160,12 +178,15 @@ class Sweep {
   Json Point(const Family& family, double value) const {
     RenderOptions options = Exact(source_.options);
     family.set(options, value);
+    const std::unique_ptr<RadianceField> coarser =
+        family.of_levels ? source_.field.WithoutFinestLevels(int(value)) : nullptr;
+    const RadianceField& field = coarser != nullptr ? *coarser : source_.field;
     // The least of several times is what neighbours on the machine disturb least.
     std::vector<RenderedImage> images;
     double seconds = HUGE_VAL, total = 0;
     for (int repeat = 0; repeat < kLeastRepeats || (repeat < kMostRepeats && total < kEnoughSeconds); ++repeat) {
       const Clock::time_point start = Clock::now();
-      images = Render(options);
+      images = Render(field, options);
       const double once = SecondsSince(start);
       total += once;
       seconds = std::min(seconds, once / double(views_.size()));

@@ -93,11 +93,12 @@ int main(int argc, char** argv) {
       "without. "
       "Both: a posed capture, a workspace, a\nCOLMAP model, a folder of 4×4 poses, or a Tanks & Temples .log file.\n"
       "Example: nrff-pose compare --estimated work/fox --truth fox");
-  fs::path estimated, truth, transform, aligned;
+  fs::path estimated, truth, transform, crop, aligned;
   bool as_json = false;
   compare->add_option("--estimated", estimated, "Estimated poses")->required();
   compare->add_option("--truth", truth, "True poses")->required();
   compare->add_option("--transform", transform, "Moves the true poses first: a 4×4 similarity (trans.txt)");
+  compare->add_option("--crop", crop, "Also how far off the object in this volume is seen (SCENE.json)");
   compare->add_option("--aligned", aligned, "Writes the estimated poses in the true frame as .log");
   compare->add_flag("--json", as_json, "The errors as JSON");
   nrff::AddVerbosity(*compare);
@@ -107,7 +108,9 @@ int main(int argc, char** argv) {
       const nrff::Trajectory poses = nrff::ReadTrajectory(estimated);
       nrff::Trajectory true_poses = nrff::ReadTrajectory(truth);
       if (!transform.empty()) true_poses = nrff::Transformed(true_poses, nrff::ReadSimilarity(transform));
-      const nrff::Json errors = nrff::TrajectoryErrors(poses, true_poses);
+      std::optional<nrff::CropVolume> object;
+      if (!crop.empty()) object = nrff::ReadCropVolume(crop);
+      const nrff::Json errors = nrff::TrajectoryErrors(poses, true_poses, object ? &*object : nullptr);
       if (!aligned.empty()) {
         const auto values = errors.at("truth_from_estimated").get<std::vector<double>>();
         nrff::WriteTrajectoryLog(

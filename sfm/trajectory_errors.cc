@@ -189,6 +189,10 @@ double AngleDegrees(const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
   return std::atan2(a.cross(b).norm(), a.dot(b)) * kDegrees;
 }
 
+Eigen::Vector3d InCamera(const TrajectoryPose& pose, const Eigen::Vector3d& point) {
+  return pose.rotation.conjugate() * (point - pose.center);
+}
+
 Json Statistics(const std::vector<double>& values) {
   double sum = 0, squares = 0, most = 0;
   for (const double value : values) {
@@ -362,7 +366,7 @@ double AreaUnderRecall(const std::vector<double>& errors, double threshold) {
   return sum / double(errors.size());
 }
 
-Json TrajectoryErrors(const Trajectory& estimated, const Trajectory& truth) {
+Json TrajectoryErrors(const Trajectory& estimated, const Trajectory& truth, const CropVolume* object) {
   const Matches matches = MatchPoses(estimated, truth);
   const Eigen::Matrix4d truth_from_estimated = AlignTrajectories(estimated, truth, matches);
   const Trajectory aligned = Transformed(estimated, truth_from_estimated);
@@ -387,18 +391,28 @@ Json TrajectoryErrors(const Trajectory& estimated, const Trajectory& truth) {
   rotation["auc"] = Areas(rotations, n_missing, kAngles, 1, "");
   Json matrix = Json::array();
   for (int i = 0; i < 16; ++i) matrix.push_back(truth_from_estimated(i / 4, i % 4));
-  return {{"n_true", truth.size()},
-          {"n_estimated", estimated.size()},
-          {"n_matched", matches.pairs.size()},
-          {"matched_by", matches.by},
-          {"radius", radius},
-          {"position", position},
-          {"rotation_deg", rotation},
-          {"relative_deg",
-           {{"rotation", Statistics(relative.rotation)},
-            {"direction", Statistics(relative.direction)},
-            {"auc", Areas(relative.both, n_missing_pairs, kAngles, 1, "")}}},
-          {"truth_from_estimated", matrix}};
+  Json errors = {{"n_true", truth.size()},
+                 {"n_estimated", estimated.size()},
+                 {"n_matched", matches.pairs.size()},
+                 {"matched_by", matches.by},
+                 {"radius", radius},
+                 {"position", position},
+                 {"rotation_deg", rotation},
+                 {"relative_deg",
+                  {{"rotation", Statistics(relative.rotation)},
+                   {"direction", Statistics(relative.direction)},
+                   {"auc", Areas(relative.both, n_missing_pairs, kAngles, 1, "")}}},
+                 {"truth_from_estimated", matrix}};
+  if (object != nullptr) {
+    std::vector<double> angles;
+    for (const auto& [e, t] : matches.pairs) {
+      for (const Eigen::Vector3d& corner : object->Corners()) {
+        angles.push_back(AngleDegrees(InCamera(aligned[e], corner), InCamera(truth[t], corner)));
+      }
+    }
+    errors["object_deg"] = Statistics(angles);
+  }
+  return errors;
 }
 
 std::string TrajectoryErrorsText(const Json& errors) {
@@ -430,6 +444,7 @@ std::string TrajectoryErrorsText(const Json& errors) {
        << " true ones estimated, matched by " << errors.at("matched_by").get<std::string>() << '\n';
   row("position ", errors.at("position"), 100, " %");
   row("rotation ", errors.at("rotation_deg"), 1, "°");
+  if (errors.contains("object_deg")) row("object   ", errors.at("object_deg"), 1, "°");
   row("relative rotation ", errors.at("relative_deg").at("rotation"), 1, "°");
   row("relative direction", errors.at("relative_deg").at("direction"), 1, "°");
   areas("position AUC", errors.at("position").at("auc"), "");

@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "pipeline/json.h"
+#include "sfm/crop_volume.h"
 #include "sfm/trajectory.h"
 
 namespace nrff {
@@ -38,9 +39,12 @@ double AreaUnderRecall(const std::vector<double>& errors, double threshold);
 //  rotation_deg {median, mean, rms, max; auc {"1": …}}                  after alignment
 //  relative_deg {rotation {median, …}, direction {median, …}, auc {"1": …}}   of every two images; an error is the
 //    greater of the rotation's and the baseline direction's
+//  object_deg {median, mean, rms, max}, with `object` alone           after alignment: between where the estimated and
+//    the true camera see a corner of the object
 //  truth_from_estimated [16]}
 // Areas count true images that were not estimated as errors without bound; medians are of those that were.
-Json TrajectoryErrors(const Trajectory& estimated, const Trajectory& truth);
+// `object`: of the true world.
+Json TrajectoryErrors(const Trajectory& estimated, const Trajectory& truth, const CropVolume* object = nullptr);
 
 // The same in a few lines.
 std::string TrajectoryErrorsText(const Json& errors);

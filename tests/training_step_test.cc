@@ -2,9 +2,11 @@
 // gradients.
 
 #include <ATen/ATen.h>
+#include <c10/core/GradMode.h>
 #include <gtest/gtest.h>
 #include <omp.h>
 
+#include <memory>
 #include <optional>
 #include <ostream>
 
@@ -48,6 +50,29 @@ FieldConfig SmallField(const Case& c) {
   config.activation = c.activation;
   c.change(config);
   return config;
+}
+
+// The field without its finest levels is the field with nothing on them.
+TEST(NrffField, WithoutItsFinestLevelsIsAsIfTheyWereZero) {
+  const FieldConfig config = SmallField({"", false, Activation::kGelu, {}});
+  const NrffField field(config, torch::kFloat, 3);
+  const std::unique_ptr<RadianceField> coarser = field.WithoutFinestLevels(2);
+  {
+    const c10::NoGradGuard no_grad;
+    for (size_t grid = 0; grid < 2; ++grid) {
+      const GridLayout& layout = grid == 0 ? field.density_layout() : field.appearance_layout();
+      const int64_t kept = layout.levels[1].plane_offsets[0];
+      Tensor values = field.parameters()[grid].value;
+      values.narrow(0, kept, layout.n_parameters - kept).zero_();
+    }
+  }
+  at::manual_seed(4);
+  const Tensor points = 2 * at::rand({50, 3}, torch::kFloat) - 1, directions = at::randn({50, 3}, torch::kFloat);
+  const Tensor unit = directions / directions.norm(2, {1}, true);
+  EXPECT_LT((coarser->Density(points) - field.Density(points)).abs().max().item<double>(), 1e-5);
+  EXPECT_LT((coarser->Shade(points, unit).rgb - field.Shade(points, unit).rgb).abs().max().item<double>(), 1e-6);
+  EXPECT_EQ(field.WithoutFinestLevels(3), nullptr);
+  EXPECT_EQ(coarser->WithoutFinestLevels(1), nullptr);
 }
 
 Rays Aimed(int64_t n, int seed) {

@@ -270,6 +270,61 @@ TEST(TrajectoryFiles, FoldersOfMatricesGetTheNearestRotation) {
   EXPECT_EQ(ReadTrajectory(directory.path() / "pose/").size(), 2);
 }
 
+// Cameras around an object, each turned by 2° about its own optical axis or not at all, see a corner of the object off
+// by that turn times the sine of the corner's angle from the axis.
+TEST(CropVolume, SaysHowFarOffTheObjectIsSeen) {
+  const TemporaryDirectory directory;
+  const fs::path file = directory.path() / "Object.json";
+  WriteFileAtomically(file,
+                      R"({"class_name": "SelectionPolygonVolume", "version_major": 1, "version_minor": 0,
+                          "orthogonal_axis": "Y", "axis_min": -0.5, "axis_max": 1.5,
+                          "bounding_polygon": [[1, 7, 0], [0, 7, 1], [-1, 7, 0]]})");
+  const CropVolume object = ReadCropVolume(file);
+  ASSERT_EQ(object.Corners().size(), 6);
+  EXPECT_EQ(object.Corners()[1], Eigen::Vector3d(0, -0.5, 1));
+  EXPECT_EQ(object.Corners()[3], Eigen::Vector3d(1, 1.5, 0));
+
+  const Trajectory truth = Random(30, 17);
+  EXPECT_LT(TrajectoryErrors(truth, truth, &object)["object_deg"]["max"], 1e-5);
+  EXPECT_FALSE(TrajectoryErrors(truth, truth).contains("object_deg"));
+  constexpr double kTurn = 2 * M_PI / 180;
+  Trajectory turned = truth;
+  double most = 0;
+  for (size_t i = 0; i < turned.size(); i += 3) {  // few enough for the alignment to leave them aside
+    turned[i].rotation = truth[i].rotation * Eigen::AngleAxisd(kTurn, Eigen::Vector3d::UnitZ());
+    for (const Eigen::Vector3d& corner : object.Corners()) {
+      const Eigen::Vector3d seen = truth[i].rotation.inverse() * (corner - truth[i].center);
+      const double sine = seen.head<2>().norm() / seen.norm();
+      most = std::max(most, 2 * std::asin(sine * std::sin(kTurn / 2)) * 180 / M_PI);
+    }
+  }
+  const Json errors = TrajectoryErrors(turned, truth, &object);
+  EXPECT_NEAR(errors["object_deg"]["max"], most, 1e-4);
+  EXPECT_THAT(TrajectoryErrorsText(errors), HasSubstr("object "));
+
+  for (const auto& [text, told] : std::vector<std::pair<const char*, const char*>>{
+           {"[", "it is no JSON"},
+           {R"({"class_name": "Box"})", "it is no SelectionPolygonVolume"},
+           {R"({"class_name": "SelectionPolygonVolume", "orthogonal_axis": "W"})", "orthogonal_axis is 'W'"},
+           {R"({"class_name": "SelectionPolygonVolume", "orthogonal_axis": "X"})", "axis_min"},
+           {R"({"class_name": "SelectionPolygonVolume", "orthogonal_axis": "X", "axis_min": 1, "axis_max": 1,
+                "bounding_polygon": []})",
+            "axis_min is not less than axis_max"},
+           {R"({"class_name": "SelectionPolygonVolume", "orthogonal_axis": "X", "axis_min": 0, "axis_max": 1,
+                "bounding_polygon": [[0, 0, 0], [1, 1, 1]]})",
+            "fewer than three corners"}}) {
+    WriteFileAtomically(file, text);
+    try {
+      ReadCropVolume(file);
+      ADD_FAILURE() << text;
+    } catch (const Error& error) {
+      EXPECT_EQ(error.code(), ExitCode::kInput);
+      EXPECT_THAT(error.what(), HasSubstr(told));
+      EXPECT_THAT(error.what(), HasSubstr("Object.json"));
+    }
+  }
+}
+
 // A .log's numbers are no photos' names, however alike they look.
 TEST(TrajectoryFiles, NumbersOfALogAreNotTakenForPhotosNames) {
   const TemporaryDirectory directory;

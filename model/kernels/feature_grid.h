@@ -42,9 +42,10 @@ struct GridLayout {
   int n_features() const { return n_products() * n_channels; }
 };
 
-// Resolutions ⌊base · b^l⌋ with b such that the last level has `max_resolution`; a single level has base = max. Throws
-// std::invalid_argument unless n_levels ≥ 1, 2 ≤ base ≤ max and n_channels, a level's, is 2 or a multiple of 4.
-GridLayout MakeGridLayout(int n_levels, int base_resolution, int max_resolution, int n_channels);
+// Resolutions ⌊base · b^l⌋ with b such that the last level has `max_resolution`; a single level has base = max. Of
+// these levels the `n_left_out` finest are then left out. Throws std::invalid_argument unless n_levels > n_left_out ≥
+// 0, 2 ≤ base ≤ max and n_channels, a level's, is 2 or a multiple of 4.
+GridLayout MakeGridLayout(int n_levels, int base_resolution, int max_resolution, int n_channels, int n_left_out = 0);
 
 // points [n, 3]; parameters [layout.n_parameters]; Scalar is float or double. One thread's work: callers split points
 // between threads (forward) or products (backward).

@@ -8,12 +8,12 @@
 
 namespace nrff {
 
-GridLayout MakeGridLayout(int n_levels, int base_resolution, int max_resolution, int n_channels) {
+GridLayout MakeGridLayout(int n_levels, int base_resolution, int max_resolution, int n_channels, int n_left_out) {
   constexpr int kGroup = 4;  // channels that kernels work on at once
-  if (n_levels < 1 || base_resolution < 2 || max_resolution < base_resolution ||
+  if (n_left_out < 0 || n_levels <= n_left_out || base_resolution < 2 || max_resolution < base_resolution ||
       (n_channels != 2 && (n_channels < kGroup || n_channels % kGroup != 0))) {
     throw std::invalid_argument(
-        "grid layout: need levels >= 1, 2 <= base <= max resolution, channels 2 or a multiple of 4");
+        "grid layout: need levels that are not all left out, 2 <= base <= max resolution, channels 2 or a multiple of 4");
   }
   if (n_levels == 1 && base_resolution != max_resolution) {
     throw std::invalid_argument("grid layout: a single level has one resolution, base = max");
@@ -21,7 +21,7 @@ GridLayout MakeGridLayout(int n_levels, int base_resolution, int max_resolution,
   GridLayout layout;
   layout.n_channels = std::min(n_channels, kGroup);
   const double log_growth = n_levels > 1 ? std::log(double(max_resolution) / base_resolution) / (n_levels - 1) : 0;
-  for (int l = 0; l < n_levels; ++l) {
+  for (int l = 0; l < n_levels - n_left_out; ++l) {
     GridLayout::Level level{};
     // The small term keeps levels that are whole numbers from being rounded down.
     level.resolution = int(std::floor(base_resolution * std::exp(l * log_growth) + 1e-9));

@@ -10,17 +10,19 @@ for (const group of DATA.groups) {
   const best = Math.max(...group.rows.map((row) => row.psnr?.mean ?? -Infinity));
   const publishedBest = Math.max(...group.rows.map((row) => row.published ?? -Infinity));
   const worst = Math.min(...group.rows.map((row) => loss(row.psnr?.mean, best) ?? 0), -0.01);
+  const scored = group.rows.some((row) => row.lpips);
+  const published = (row) => (isNumber(row.published)
+    ? el("span", {}, format.psnr(row.published), " ", el("span", {className: "small muted"}, signed(loss(row.published, publishedBest)))) : DASH);
   const bar = (value) => el("span", {className: "bar"}, el("i", {style: `width: ${100 * (isNumber(value) ? value / worst : 0)}%`}));
   byId("groups").append(el("section", {}, el("h2", {}, group.title), el("p", {className: "hint"}, `${group.note} Published: ${group.published}.`), makeTable([
     {label: "Model", value: (row) => row.label, cell: (row) => (row.own ? el("strong", {}, row.label) : row.label)},
     {label: "PSNR (dB)", number: true, value: (row) => row.psnr?.mean, cell: (row) => bandText(row.psnr, format.psnr)},
     {label: "To the best", number: true, value: (row) => loss(row.psnr?.mean, best), cell: (row) => el("span", {}, signed(loss(row.psnr?.mean, best)), bar(loss(row.psnr?.mean, best)))},
     {label: "SSIM", number: true, value: (row) => row.ssim?.mean, cell: (row) => bandText(row.ssim, format.ssim)},
-    {label: "LPIPS", number: true, value: (row) => row.lpips?.mean, cell: (row) => bandText(row.lpips, format.ssim)},
+    ...(scored ? [{label: "LPIPS", number: true, value: (row) => row.lpips?.mean, cell: (row) => bandText(row.lpips, format.ssim)}] : []),
     {label: "Parameters", number: true, value: (row) => row.n_parameters?.mean, cell: (row) => format.large(row.n_parameters?.mean)},
     {label: "Training", number: true, value: (row) => row.seconds?.mean, cell: (row) => bandText(row.seconds, format.seconds)},
     {label: "Per view", number: true, value: (row) => row.seconds_per_view?.mean, cell: (row) => (row.seconds_per_view ? `${row.seconds_per_view.mean.toPrecision(2)} s` : DASH)},
-    {label: "Published (dB)", number: true, value: (row) => row.published, cell: (row) => format.psnr(row.published)},
-    {label: "To its best", number: true, value: (row) => loss(row.published, publishedBest), cell: (row) => signed(loss(row.published, publishedBest))},
+    {label: "Published (dB)", number: true, value: (row) => row.published, cell: published},
   ], group.rows, {stack: true}).element));
 }
