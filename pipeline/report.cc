@@ -75,20 +75,25 @@ void WriteReport(const fs::path& workspace) {
 void WriteJointReport(const fs::path& folder, const std::vector<fs::path>& workspaces) {
   const fs::path root = fs::absolute(folder);
   Json captures = Json::array(), shown = Json::array();
+  std::vector<Run> runs;
   for (const fs::path& workspace : workspaces) {
     const WorkspaceState state = ReadWorkspace(workspace);
-    Json summary = Summarise(state);
+    runs.push_back({state, Summarise(state)});
+    Json& summary = runs.back().summary;
     captures.push_back(Row(root, state, summary));
     shown.push_back(captures.back());
     shown.back()["picture"] = PartOrWarning(summary, [&] { return MedianPicture(state, summary["images"]); });
+    shown.back()["curve"] = summary["training"]["curve"];
   }
+  Json damage = {{"warnings", Json::array()}};  // as in a row: what cannot be read is not shown
+  const Json comparisons = PartOrWarning(damage, [&] { return Comparisons(runs); });
   const fs::path out = root / "report";
   std::error_code error;
   fs::create_directories(out, error);
   if (error) throw ResourceError("Folder " + EscapePath(out) + " cannot be made (" + error.message() + ").");
   WriteJson(out / "summary.json", {{"schema_version", kJointSummarySchemaVersion}, {"captures", captures}});
-  WriteFileAtomically(out / "report.html",
-                      FillPage("joint.html", std::to_string(workspaces.size()) + " captures", {{"captures", shown}}));
+  WriteFileAtomically(out / "report.html", FillPage("joint.html", std::to_string(workspaces.size()) + " runs",
+                                                    {{"captures", shown}, {"comparisons", comparisons}}));
 }
 
 }  // namespace nrff

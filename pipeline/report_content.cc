@@ -6,6 +6,7 @@
 #include <bit>
 #include <cmath>
 #include <cstring>
+#include <map>
 #include <numeric>
 #include <string>
 #include <string_view>
@@ -15,6 +16,7 @@
 #include "pipeline/files.h"
 #include "pipeline/report_page.h"
 #include "pipeline/scene.h"
+#include "pipeline/workspace.h"
 
 namespace nrff {
 namespace {
@@ -143,6 +145,50 @@ Json Pictures(const WorkspaceState& state, const Json& images) {
 Json MedianPicture(const WorkspaceState& state, const Json& images) {
   if (images.empty()) return nullptr;
   return PngDataUri(FilesOf(state, images[ByPsnr(images)[images.size() / 2]]).rendered);
+}
+
+Json Comparisons(const std::vector<Run>& runs) {
+  std::map<std::string, std::vector<size_t>> by_capture;  // those that scored images
+  for (size_t r = 0; r < runs.size(); ++r) {
+    if (runs[r].summary.at("images").empty()) continue;
+    by_capture[Workspace(runs[r].state.root).ReadMarker().capture].push_back(r);
+  }
+  Json comparisons = Json::array();
+  for (const auto& [capture, of_capture] : by_capture) {
+    if (of_capture.size() < 2) continue;
+    std::map<std::string, std::vector<const Json*>> by_name;  // the runs' images, in the runs' order
+    for (const size_t r : of_capture) {
+      for (const Json& image : runs[r].summary.at("images")) by_name[image.at("name")].push_back(&image);
+    }
+    Json shared = Json::array();
+    for (const auto& [name, images] : by_name) {
+      if (images.size() != of_capture.size()) continue;
+      double sum = 0;
+      for (const Json* image : images)
+        sum += image->at("psnr").is_number() ? image->at("psnr").get<double>() : HUGE_VAL;
+      shared.push_back({{"name", name}, {"psnr", std::isfinite(sum) ? Json(sum) : Json()}});
+    }
+    const std::vector<size_t> order = ByPsnr(shared);
+    Json views = Json::array();
+    for (size_t k = 0; k < std::min<size_t>(order.size(), 3); ++k) {
+      const size_t place = order.size() <= 3 ? k : k == 0 ? 0 : k == 1 ? order.size() / 2 : order.size() - 1;
+      const std::vector<const Json*>& images = by_name.at(shared[order[place]].at("name"));
+      Json shown = Json::array(), truth;
+      for (size_t i = 0; i < images.size(); ++i) {
+        const ViewFiles files = FilesOf(runs[of_capture[i]].state, *images[i]);
+        if (truth.is_null()) truth = PngDataUri(files.truth);
+        shown.push_back({{"rendered", PngDataUri(files.rendered)},
+                         {"error", PngDataUri(files.error)},
+                         {"psnr", images[i]->at("psnr")}});
+      }
+      views.push_back({{"name", images.front()->at("name")}, {"truth", truth}, {"shown", shown}});
+    }
+    if (!views.empty()) {
+      comparisons.push_back(
+          {{"capture", runs[of_capture.front()].summary.at("name")}, {"runs", of_capture}, {"views", views}});
+    }
+  }
+  return comparisons;
 }
 
 Json Geometry(const WorkspaceState& state) {

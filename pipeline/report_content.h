@@ -1,6 +1,8 @@
 // The heavy parts of a report's page: pictures as data URIs, sparse points and cameras.
 #pragma once
 
+#include <vector>
+
 #include "pipeline/json.h"
 #include "pipeline/report_summary.h"
 
@@ -18,6 +20,17 @@ Json Pictures(const WorkspaceState& state, const Json& images);
 
 // The rendered view of median PSNR as a data URI; null when nothing was rendered.
 Json MedianPicture(const WorkspaceState& state, const Json& images);
+
+// One workspace of a joint report.
+struct Run {
+  WorkspaceState state;
+  Json summary;
+};
+
+// Runs of the same capture side by side: [{capture: its name, runs: [index into `runs`],
+//  views: [{name, truth: data URI or null, shown: [{rendered, error: data URI or null, psnr}], one per run}]}], the
+// worst, the median and the best by mean PSNR of the views that all of the capture's scored runs have.
+Json Comparisons(const std::vector<Run>& runs);
 
 // {points: {n, n_total, positions: Base64 of float32 x y z, colors: Base64 of uint8 r g b} | null,
 //  cameras: [{name, split, scene_from_camera [16], slope_x, slope_y}]}: positions in scene units; slopes are half the

@@ -4,9 +4,13 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
+#include <cstdlib>
 #include <cstring>
 #include <filesystem>
+#include <map>
 #include <set>
+#include <sstream>
+#include <utility>
 
 #include "pipeline/files.h"
 #include "pipeline/manifest.h"
@@ -15,6 +19,7 @@
 #include "pipeline/report_summary.h"
 #include "pipeline/scene.h"
 #include "pipeline/workspace.h"
+#include "tests/program.h"
 
 namespace nrff {
 namespace {
@@ -46,7 +51,7 @@ TEST(FillPage, NoTextFromTheDataBecomesMarkup) {
 }
 
 TEST(FillPage, PagesAreSelfContainedAndHaveNoPlaceholderLeft) {
-  for (const char* name : {"report.html", "joint.html", "benchmark.html", "work_precision.html"}) {
+  for (const char* name : {"report.html", "joint.html", "benchmark.html", "work_precision.html", "ablation.html"}) {
     const std::string page = FillPage(name, "title", Json::object());
     for (const char* outside : {"{{", "<link", "src=\"", "https://", "@import", "url("}) {
       EXPECT_THAT(page, Not(HasSubstr(outside))) << name;
@@ -140,6 +145,8 @@ class ReportTest : public testing::Test {
          {{"model.safetensors", std::string(77, 'm')}}, {}, {{"preset", "quick"}});
   }
 
+  static std::string Name(int i) { return std::to_string(i) + kAwkwardName; }
+
   // `n` scored views with PSNR 20, 21, …; pictures are one-byte files that hold the view's number.
   void MakeRenderAndEval(int n, int side = 2) const {
     std::map<std::string, std::string> renders, scores;
@@ -149,7 +156,7 @@ class ReportTest : public testing::Test {
       for (const char* layer : {"rgb/", "depth/", "normal/"}) renders[layer + file] = byte;
       for (const char* layer : {"truth/", "error/"}) scores[layer + file] = byte;
       images.push_back({{"id", std::to_string(i)},
-                        {"name", kAwkwardName},
+                        {"name", Name(i)},
                         {"width", side},
                         {"height", side},
                         {"psnr", 20 + i},
@@ -210,7 +217,7 @@ TEST_F(ReportTest, SummaryHasEveryFieldOfTheSchema) {
   EXPECT_EQ(summary["split"]["registered"], 9);
   ASSERT_EQ(summary["images"].size(), 2);
   for (const Json& image : summary["images"]) {
-    EXPECT_EQ(image["name"], kAwkwardName);
+    EXPECT_EQ(image["name"], Name(int(&image - &summary["images"][0])));
     for (const char* key : {"rendered", "truth", "error"}) {
       EXPECT_TRUE(fs::exists(root_ / std::string(image[key]))) << image[key];
     }
@@ -346,7 +353,82 @@ TEST_F(ReportTest, JointReportHasARowForEveryCaptureAlsoForOneThatFailed) {
   EXPECT_EQ(second["failure"]["stage"], "ingest");
   EXPECT_EQ(second["failure"]["error"], "No photo can be read.");
   EXPECT_TRUE(second["report"].is_null());
-  EXPECT_EQ(PageData(folder_ / "report" / "report.html")["captures"][0]["picture"], "data:image/png;base64,Qg==");
+  const Json page = PageData(folder_ / "report" / "report.html");
+  EXPECT_EQ(page["captures"][0]["picture"], "data:image/png;base64,Qg==");
+  EXPECT_EQ(page["captures"][0]["curve"].size(), 2);
+  EXPECT_TRUE(page["comparisons"].empty());
+}
+
+TEST_F(ReportTest, RunsOfOneCaptureAreShownSideBySide) {
+  MakeAll();
+  const fs::path first = root_;
+  root_ = folder_ / "again";
+  Workspace(root_).WriteMarker({"/photos/fox", {{"budget", "60s"}}});
+  MakeAll();
+  const fs::path other = folder_ / "other";
+  Workspace(other).WriteMarker({"/photos/hall", {}});
+  WriteJointReport(folder_, {other, first, root_});
+  const Json comparisons = PageData(folder_ / "report" / "report.html")["comparisons"];
+  ASSERT_EQ(comparisons.size(), 1);
+  EXPECT_EQ(comparisons[0]["runs"], Json({1, 2}));
+  ASSERT_EQ(comparisons[0]["views"].size(), 2);
+  const Json& worst = comparisons[0]["views"][0];
+  EXPECT_EQ(worst["name"], Name(0));
+  EXPECT_EQ(worst["truth"], "data:image/png;base64,QQ==");
+  ASSERT_EQ(worst["shown"].size(), 2);
+  EXPECT_EQ(worst["shown"][1]["psnr"], 20);
+  EXPECT_EQ(worst["shown"][1]["error"], "data:image/png;base64,QQ==");
+}
+
+// The first of the usual Chromium-like browsers on PATH; empty: there is none.
+fs::path Browser() {
+  std::istringstream folders(std::getenv("PATH"));
+  for (std::string folder; std::getline(folders, folder, ':');) {
+    for (const char* name : {"chromium", "chromium-browser", "google-chrome"}) {
+      if (fs::exists(fs::path(folder) / name)) return fs::path(folder) / name;
+    }
+  }
+  return {};
+}
+
+// Every kind of page runs its script to the end in a real browser and complains of nothing; the benchmarks' pages with
+// the results that the project publishes.
+TEST_F(ReportTest, PagesRunInABrowserWithoutAWord) {
+  const fs::path browser = Browser();
+  if (browser.empty()) GTEST_SKIP() << "no chromium on PATH";
+  MakeAll();
+  WriteReport(root_);
+  const fs::path first = root_;
+  root_ = folder_ / "again";
+  Workspace(root_).WriteMarker({"/photos/fox", {}});
+  MakeAll();
+  WriteJointReport(folder_, {first, root_});
+  std::map<fs::path, std::string> pages = {{first / "report" / "report.html", kAwkwardName},
+                                           {folder_ / "report" / "report.html", "side by side"}};
+  const fs::path results = fs::path(NRFF_SOURCE_DIR) / "tests/bench/results";
+  for (const auto& [json, page] : {std::pair("ablation_lego_nsvf_400", "ablation.html"),
+                                   {"work_precision_fox", "work_precision.html"},
+                                   {"benchmark_tanks-and-temples", "benchmark.html"}}) {
+    const fs::path file = folder_ / page;
+    WriteFileAtomically(file, FillPage(page, json, ReadJson(results / (std::string(json) + ".json"))));
+    pages[file] = "Intel";
+  }
+  for (const auto& [page, shown] : pages) {
+    // A profile of its own, and no sandbox, which root and containers do not have.
+    const ProgramResult result =
+        RunProgram({browser.string(), "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr",
+                    "--user-data-dir=" + (folder_ / "profile").string(), "--virtual-time-budget=3000", "--dump-dom",
+                    "file://" + page.string()});
+    EXPECT_EQ(result.exit_code, 0) << page;
+    std::istringstream log(result.err);
+    for (std::string line; std::getline(log, line);) {
+      EXPECT_EQ(line.find(":CONSOLE:"), std::string::npos) << page << ": " << line;
+    }
+    const size_t drawn = result.out.find("<main"), end = result.out.find("</main>");
+    ASSERT_NE(drawn, std::string::npos) << page;
+    std::string text = EscapeHtml(shown);
+    EXPECT_NE(result.out.substr(drawn, end - drawn).find(text.substr(0, text.find('&'))), std::string::npos) << page;
+  }
 }
 
 }  // namespace

@@ -9,7 +9,11 @@ const INFERNO = ["#000004", "#160b39", "#420a68", "#6a176e", "#932667", "#bc3754
 async function colourDepth(uri) {
   const image = new Image();
   image.src = uri;
-  await image.decode();
+  try {
+    await image.decode();
+  } catch {
+    return uri;  // a damaged file shows as one
+  }
   const canvas = el("canvas", {width: image.naturalWidth, height: image.naturalHeight});
   const context = canvas.getContext("2d", {willReadFrequently: true});
   context.drawImage(image, 0, 0);
