@@ -40,6 +40,8 @@ void ForEachNumber(State& state, const Visit& visit) {
   visit("shrink_moments_done", state.shrink_moments_done);
   visit("n_skipped", state.n_skipped);
   visit("n_skipped_in_row", state.n_skipped_in_row);
+  visit("rate_scale", state.rate_scale);
+  visit("rollbacks", state.rollbacks);
   visit("train_mse", state.train_mse);
   visit("evaluations", state.evaluations);
   visit("curve", state.curve);

@@ -39,6 +39,8 @@ struct TrainState {
   int shrink_moments_done = 0;     // of TrainConfig::shrink_moments
   int64_t n_skipped = 0;  // steps left out for a non-finite loss or gradient
   int n_skipped_in_row = 0;
+  double rate_scale = 1;  // of all learning rates: halved whenever training diverged
+  int rollbacks = 0;      // times it went back to a checkpoint for that
   double train_mse = -1;  // running mean; < 0: none yet
   int evaluations = 0;    // moments of the curve that are behind
   std::vector<CurvePoint> curve;

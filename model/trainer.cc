@@ -172,11 +172,12 @@ void Trainer::Step() {
   } else {
     ++state_.n_skipped;
     if (++state_.n_skipped_in_row == kMostSkipped) {
-      throw InputError("training met " + not_finite + " in each of " + std::to_string(kMostSkipped) +
-                       " steps up to step " + std::to_string(state_.step) +
-                       "; look for wrong poses in the scene, or lower the preset's rates");
+      throw TrainingDiverged("training met " + not_finite + " in each of " + std::to_string(kMostSkipped) +
+                             " steps up to step " + std::to_string(state_.step) +
+                             "; look for wrong poses in the scene, or lower the preset's rates");
     }
   }
+  if (options_.check) CheckState();
   if (config.target_shaded > 0) {
     // Half of the way, so that one unusual batch does not throw it off.
     const double wanted =
@@ -194,12 +195,56 @@ std::string Trainer::NotFinite(const TrainingStep::Result& result) const {
   const double loss = result.mse + result.orientation + result.sparsity + result.depth;
   if (!std::isfinite(loss)) return std::isnan(loss) ? "a loss that is not a number" : "an infinite loss";
   for (size_t i = 0; i < step_.gradients().size(); ++i) {
-    const Tensor& gradient = step_.gradients()[i];
-    if (!AllFinite(gradient.const_data_ptr<float>(), gradient.numel())) {
-      return "a non-finite gradient of " + state_.field.parameters()[i].name;
-    }
+    const std::string where = NotFiniteIn(step_.gradients()[i], i);
+    if (!where.empty()) return "a non-finite gradient of " + where;
   }
   return {};
+}
+
+std::string Trainer::NotFiniteIn(const Tensor& values, size_t parameter) const {
+  const auto* data = values.const_data_ptr<float>();
+  if (AllFinite(data, values.numel())) return {};
+  const std::string& name = state_.field.parameters()[parameter].name;
+  const auto at = std::find_if(data, data + values.numel(), [](float value) { return !std::isfinite(value); }) - data;
+  if (!state_.field.parameters()[parameter].is_grid) return name;
+  const GridLayout& layout = name == "density_grid" ? state_.field.density_layout() : state_.field.appearance_layout();
+  size_t level = 0;
+  while (level + 1 < layout.levels.size() && layout.levels[level + 1].plane_offsets[0] <= at) ++level;
+  return "level " + std::to_string(level) + " (" + std::to_string(layout.levels[level].resolution) + " nodes) of " +
+         name;
+}
+
+void Trainer::CheckState() const {
+  for (size_t i = 0; i < state_.field.parameters().size(); ++i) {
+    for (const auto& [what, values] : {std::pair("value", state_.field.parameters()[i].value),
+                                       {"first moment", state_.adam_m[i]},
+                                       {"second moment", state_.adam_v[i]}}) {
+      const std::string where = NotFiniteIn(values, i);
+      if (where.empty()) continue;
+      throw TrainingDiverged(std::string("training left a non-finite ") + what + " in " + where + " at step " +
+                             std::to_string(state_.step) + "; lower the preset's rates");
+    }
+  }
+}
+
+Json Trainer::Evidence() const {
+  Json parameters = Json::array();
+  for (const NrffField::Parameter& parameter : state_.field.parameters()) {
+    const auto* data = parameter.value.const_data_ptr<float>();
+    float largest = 0;
+    int64_t n_not_finite = 0;
+    for (int64_t i = 0; i < parameter.value.numel(); ++i) {
+      if (std::isfinite(data[i])) {
+        largest = std::max(largest, std::abs(data[i]));
+      } else {
+        ++n_not_finite;
+      }
+    }
+    parameters.push_back({{"name", parameter.name}, {"largest", largest}, {"n_not_finite", n_not_finite}});
+  }
+  return {{"step", state_.step},           {"n_rays", state_.n_rays},         {"seed", options_.seed},
+          {"n_skipped", state_.n_skipped}, {"rate_scale", state_.rate_scale}, {"rollbacks", state_.rollbacks},
+          {"parameters", parameters}};
 }
 
 void Trainer::Optimise(double progress) {
@@ -209,7 +254,7 @@ void Trainer::Optimise(double progress) {
   const std::vector<NrffField::Parameter>& parameters = state_.field.parameters();
   for (size_t i = 0; i < parameters.size(); ++i) {
     const AdamOptions options{
-        .learning_rate = factor * (parameters[i].is_grid ? config.grid_rate : config.network_rate),
+        .learning_rate = state_.rate_scale * factor * (parameters[i].is_grid ? config.grid_rate : config.network_rate),
         .beta1 = config.beta1,
         .beta2 = config.beta2,
         .epsilon = config.epsilon,

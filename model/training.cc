@@ -139,21 +139,56 @@ void ShowProgress(const Trainer& trainer, double seconds_before, double progress
                               "training views " + Decibels(trainer.TrainPsnr()));
 }
 
+constexpr int kMostRollbacks = 3;
+constexpr double kRateOfRollback = 0.5;
+constexpr char kEvidenceFile[] = "diverged.json";
+
+// Goes back to the last checkpoint, with smaller rates; what was spent stays spent. Throws what training met, with the
+// evidence saved, when that was done kMostRollbacks times.
+void RollBack(const std::filesystem::path& dir, const std::string& settings, const TrainingDiverged& diverged,
+              Trainer& trainer) {
+  TrainState& state = trainer.state();
+  const int rollbacks = state.rollbacks + 1;
+  const double seconds = state.seconds, rate_scale = kRateOfRollback * state.rate_scale;
+  const int64_t n_skipped = state.n_skipped;
+  if (rollbacks > kMostRollbacks) {
+    Json evidence = trainer.Evidence();
+    evidence["met"] = diverged.what();
+    WriteJson(dir / kEvidenceFile, evidence);
+    throw InputError(std::string(diverged.what()) + "; this went on after " + std::to_string(kMostRollbacks) +
+                     " returns to the last checkpoint with halved rates, see " + EscapePath(dir / kEvidenceFile));
+  }
+  LoadCheckpoint(dir, settings, state);
+  state.rollbacks = rollbacks;
+  state.rate_scale = rate_scale;
+  state.seconds = seconds;
+  state.n_skipped = n_skipped;
+  state.n_skipped_in_row = 0;
+  LogWarning(std::string(diverged.what()) + "; training goes on from step " + std::to_string(state.step) + " with " +
+             std::to_string(int(std::lround(100 * rate_scale))) + " % of its rates");
+}
+
 void TrainToTheEnd(Trainer& trainer, const HeldOutViews& held_out, const std::string& settings,
                    const ArtifactWriter& artifact) {
   TrainState& state = trainer.state();
   Progress progress("training", 100, "%");
   const double seconds_before = state.seconds, progress_before = trainer.Progress();
   double seconds_at_checkpoint = state.seconds;
+  SaveCheckpoint(artifact.dir(), state, settings);  // what training can go back to at the least
   while (!trainer.Done()) {
-    trainer.Step();
+    try {
+      trainer.Step();
+    } catch (const TrainingDiverged& diverged) {
+      RollBack(artifact.dir(), settings, diverged, trainer);
+      continue;
+    }
     ShowProgress(trainer, seconds_before, progress_before, progress);
     if (state.evaluations < kCurvePoints && trainer.Progress() >= CurveMoment(state.evaluations)) {
       while (state.evaluations < kCurvePoints && trainer.Progress() >= CurveMoment(state.evaluations))
         ++state.evaluations;
       if (!held_out.empty()) Evaluate(held_out, trainer);
     }
-    if (state.seconds - seconds_at_checkpoint > kSecondsPerCheckpoint) {
+    if (state.seconds - seconds_at_checkpoint > kSecondsPerCheckpoint && state.n_skipped_in_row == 0) {
       SaveCheckpoint(artifact.dir(), state, settings);
       artifact.SaveSeconds();
       seconds_at_checkpoint = state.seconds;
@@ -208,7 +243,7 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
   const Scene scene = LoadScene(request.scene_dir);
   const ImagePack pack(request.scene_dir);
   const std::vector<SparseDepth> depths = LoadSparseDepths(scene, request.scene_dir);
-  const TrainOptions options{.budget_seconds = request.budget_seconds, .seed = request.seed};
+  const TrainOptions options{.budget_seconds = request.budget_seconds, .seed = request.seed, .check = request.check};
 
   ArtifactWriter artifact("train", request.out, params, {ArtifactInput(request.scene_dir, scene_manifest)},
                           ArtifactWriter::kKeepPartial);
@@ -257,6 +292,7 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
                       {"seconds_evaluating", state.seconds_evaluating},
                       {"steps_per_second", double(state.step) / state.seconds},
                       {"steps_skipped", state.n_skipped},
+                      {"rollbacks", state.rollbacks},
                       {"device", "cpu"},
                       {"threads", n_threads},
                       {"n_parameters", state.field.n_parameters()},

@@ -21,6 +21,7 @@ struct TrainingRequest {
   std::optional<bool> fine_levels, sparse_depth;  // forced either way
   std::string device = "auto";
   int n_threads = 0;  // 0: one per core
+  bool check = false;  // TrainOptions::check
 };
 
 // What is asked for, without a scene: {"preset", "device", "steps", "budget_seconds", "decisions", "settings":

@@ -1,5 +1,5 @@
 // nrff benchmark: every scene of a data set, and one table beside what was published; or one scene's error against
-// run time; or what each part of the model is worth on it.
+// run time; or what each part of the model is worth on it; or how accurate the software is on this machine.
 #include <algorithm>
 #include <iostream>
 #include <sstream>
@@ -11,7 +11,9 @@
 #include "pipeline/files.h"
 #include "pipeline/plan.h"
 #include "pipeline/run.h"
+#include "pipeline/stability.h"
 #include "pipeline/stage.h"
+#include "pipeline/stages.h"
 #include "pipeline/work_precision.h"
 
 namespace nrff {
@@ -165,6 +167,38 @@ Command AddAblation(CLI::App& command) {
   return {kind, [options] { Ablation(*options); }};
 }
 
+struct StabilityOptions {
+  std::string out = "work/stability";
+  OutputOptions output;
+};
+
+void Stability(const StabilityOptions& options) {
+  const Json result = MeasureStability(ExecutableFolder().parent_path() / "tests", options.out);
+  if (options.output.json) {
+    PrintJson(result);
+  } else if (!options.output.quiet) {
+    std::cout << StabilityMarkdown(result) << "\nthe table: " << EscapePath(fs::path(options.out) / "stability.html")
+              << ", .md, .json\n";
+  }
+  if (const int n = result.at("n_exceeded").get<int>(); n > 0) {
+    throw ExternalToolError(std::to_string(n) + " stability cases are beyond their bounds on this machine; see " +
+                            EscapePath(fs::path(options.out) / "stability.md"));
+  }
+}
+
+Command AddStability(CLI::App& command) {
+  auto options = std::make_shared<StabilityOptions>();
+  CLI::App* kind = command.add_subcommand("stability", "Accuracy on stiff and extreme cases");
+  kind->add_option("--out", options->out, "Where the table goes (default: work/stability)")->type_name("DIR");
+  AddVerbosityOptions(*kind, options->output);
+  AddJsonOption(*kind, options->output);
+  kind->footer(
+      "Runs the tests in tests/stability and shows every case's error beside the bound\n"
+      "that follows from the number format.\n"
+      "Example: nrff benchmark stability");
+  return {kind, [options] { Stability(*options); }};
+}
+
 }  // namespace
 
 Command AddBenchmarkCommand(CLI::App& app) {
@@ -195,6 +229,7 @@ Command AddBenchmarkCommand(CLI::App& app) {
   }
   kinds.push_back(AddWorkPrecision(*command));
   kinds.push_back(AddAblation(*command));
+  kinds.push_back(AddStability(*command));
   return {command, [kinds] {
             for (const Command& kind : kinds) {
               if (kind.app->parsed()) kind.run();

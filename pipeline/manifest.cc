@@ -27,16 +27,6 @@ std::string CpuName() {
   return "unknown";
 }
 
-Json Host() {
-  utsname name{};
-  uname(&name);
-  return {
-      {"cpu", CpuName()},
-      {"cores", sysconf(_SC_NPROCESSORS_ONLN)},
-      {"memory_bytes", static_cast<uint64_t>(sysconf(_SC_PHYS_PAGES)) * static_cast<uint64_t>(sysconf(_SC_PAGE_SIZE))},
-      {"os", std::string(name.sysname) + " " + name.release}};
-}
-
 // Of this process and, as the largest single one, of its children.
 uint64_t PeakMemoryBytes() {
   uint64_t peak = 0;
@@ -53,6 +43,16 @@ std::string AttemptKey(const Manifest& manifest) {
 }
 
 }  // namespace
+
+Json ThisHost() {
+  utsname name{};
+  uname(&name);
+  return {
+      {"cpu", CpuName()},
+      {"cores", sysconf(_SC_NPROCESSORS_ONLN)},
+      {"memory_bytes", static_cast<uint64_t>(sysconf(_SC_PHYS_PAGES)) * static_cast<uint64_t>(sysconf(_SC_PAGE_SIZE))},
+      {"os", std::string(name.sysname) + " " + name.release}};
+}
 
 std::string Version() { return NRFF_VERSION; }
 
@@ -213,7 +213,7 @@ void ArtifactWriter::Commit() {
   }
   manifest_.seconds = SecondsSoFar();
   manifest_.peak_memory_bytes = PeakMemoryBytes();
-  manifest_.host = Host();
+  manifest_.host = ThisHost();
   fs::remove(dir_ / kPartialState);
   WriteJson(dir_ / kManifestName, manifest_);
   ReplaceDirectory(dir_, out_);

@@ -41,7 +41,7 @@ struct Manifest {
   std::vector<Decision> decisions;
   double seconds = 0;  // wall clock over all attempts that this artifact was made in
   uint64_t peak_memory_bytes = 0;
-  Json host = Json::object();  // {cpu, cores, memory_bytes, os}
+  Json host = Json::object();  // ThisHost() where it was made
 
   // Hash over outputs' (path, hash): equal for byte-identical payloads, whatever time they took.
   std::string ContentHash() const;
@@ -106,5 +106,8 @@ class ArtifactWriter {
 
 // The version every executable reports and records.
 std::string Version();
+
+// {cpu, cores, memory_bytes, os} of this machine.
+Json ThisHost();
 
 }  // namespace nrff

@@ -10,6 +10,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 
 namespace nrff {
 
@@ -34,6 +35,7 @@ struct SceneMap {
     Scalar u[3], m = 0;
     for (int k = 0; k < 3; ++k) {
       u[k] = (scene[k] - Scalar(center[k])) / Scalar(half_extent[k]);
+      if (unbounded) u[k] = std::clamp(u[k], -kFarthest<Scalar>, kFarthest<Scalar>);  // infinity · 0 is no number
       m = std::max(m, std::abs(u[k]));
     }
     const Scalar scale = unbounded ? ContractionScale(m) : Scalar(1);
@@ -59,6 +61,10 @@ struct SceneMap {
     }
     return step * m * m / std::sqrt(squared_speed);
   }
+
+  // Beyond it the contraction's own terms leave the range of normal numbers; field coordinates are ±1 long before.
+  template <typename Scalar>
+  static constexpr Scalar kFarthest = Scalar(1) / (4 * std::numeric_limits<Scalar>::min());
 
   // Field coordinates = ContractionScale(|u|∞)·u in unbounded scenes.
   template <typename Scalar>

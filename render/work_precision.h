@@ -19,7 +19,7 @@ struct TrueColours {
 
 // {n_views, reference_seconds: a view at the limit,
 //  families [{family, unit, meaning, reference: "limit" | "exact",
-//    points [{value, seconds: a view, least of 3 to 8 times, rmse, most: of RGB in [0, 1], psnr: to the photos, dB,
+//    points [{value, seconds: a view, least of 1 to 8 times, rmse, most: of RGB in [0, 1], psnr: to the photos, dB,
 //             samples_per_ray, shaded_per_ray, chosen: the value that nrff-render uses}]}]}
 // Points are from coarse to fine. `truth`: one per view. Shows progress.
 Json RenderingWorkPrecision(const RenderSource& source, const std::vector<View>& views,

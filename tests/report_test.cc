@@ -51,7 +51,8 @@ TEST(FillPage, NoTextFromTheDataBecomesMarkup) {
 }
 
 TEST(FillPage, PagesAreSelfContainedAndHaveNoPlaceholderLeft) {
-  for (const char* name : {"report.html", "joint.html", "benchmark.html", "work_precision.html", "ablation.html"}) {
+  for (const char* name :
+       {"report.html", "joint.html", "benchmark.html", "work_precision.html", "ablation.html", "stability.html"}) {
     const std::string page = FillPage(name, "title", Json::object());
     for (const char* outside : {"{{", "<link", "src=\"", "https://", "@import", "url("}) {
       EXPECT_THAT(page, Not(HasSubstr(outside))) << name;

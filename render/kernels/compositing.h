@@ -3,6 +3,7 @@
 //   τ_i = σ_i δ_i,  α_i = −expm1(−τ_i),  T_i = exp(−Σ_{j<i} τ_j),  w_i = T_i α_i          [Han23] Eq. 1
 //
 // T is the exponential of a sum of τ, never a product of (1 − α), so that Σ w + T_end = 1 to rounding for any τ ≥ 0.
+// Sums along a ray are in double.
 // The samples of ray r are ray_offsets[r] … ray_offsets[r + 1] − 1, front to back. Parallel over rays, no atomics:
 // deterministic, whatever the number of threads. Functions are defined for float and double.
 //

@@ -10,13 +10,14 @@ namespace nrff {
 template <typename Scalar>
 NRFF_HOST_DEVICE void WeightsForwardRay(const WeightsArgs<Scalar>& args, int64_t r) {
   const int64_t begin = args.ray_offsets[r], end = args.ray_offsets[r + 1];
-  Scalar thickness = 0, transmittance = 1;
+  double thickness = 0;  // summed in double, as 65,536 samples in float would cost four digits of it
+  Scalar transmittance = 1;
   int64_t i = begin;
   for (; i < end && transmittance >= args.stop_transmittance; ++i) {
     const Scalar tau = args.sigma[i] * args.delta[i];
     args.weights[i] = transmittance * -std::expm1(-tau);
     thickness += tau;
-    transmittance = std::exp(-thickness);
+    transmittance = std::exp(static_cast<Scalar>(-thickness));
   }
   args.transmittance[r] = transmittance;
   args.n_reached[r] = i - begin;
@@ -27,11 +28,11 @@ template <typename Scalar>
 NRFF_HOST_DEVICE void WeightsBackwardRay(const WeightsBackwardArgs<Scalar>& args, int64_t r) {
   const int64_t begin = args.ray_offsets[r], reached = begin + args.n_reached[r];
   for (int64_t i = reached; i < args.ray_offsets[r + 1]; ++i) args.dL_dsigma[i] = 0;
-  Scalar transmittance = args.transmittance[r];               // T_{i+1}
-  Scalar behind = args.dL_dtransmittance[r] * transmittance;  // what the samples behind and T_end contribute
+  double transmittance = args.transmittance[r];               // T_{i+1}
+  double behind = args.dL_dtransmittance[r] * transmittance;  // what the samples behind and T_end contribute
   for (int64_t i = reached - 1; i >= begin; --i) {
-    args.dL_dsigma[i] = args.delta[i] * (args.dL_dweights[i] * transmittance - behind);
-    behind += args.dL_dweights[i] * args.weights[i];
+    args.dL_dsigma[i] = static_cast<Scalar>(args.delta[i] * (args.dL_dweights[i] * transmittance - behind));
+    behind += static_cast<double>(args.dL_dweights[i]) * args.weights[i];
     transmittance += args.weights[i];
   }
 }

@@ -1,0 +1,23 @@
+// The stability table: what the tests in tests/stability measured on this machine, case by case, with the bound that
+// follows from the number format.
+//
+//   stability.json  (schema 1)
+//     cases  [{part, name, condition, error, bound}]: error null where it was no finite number
+//     n_exceeded, host, version, date (UTC)
+//   stability.md, stability.html  the same for people
+#pragma once
+
+#include <filesystem>
+#include <string>
+
+#include "pipeline/json.h"
+
+namespace nrff {
+
+// Runs the programs stability_* in `tests` and writes the three files into `folder`. Throws InputError where there are
+// no such programs, ExternalToolError where one ends otherwise than tests do.
+Json MeasureStability(const std::filesystem::path& tests, const std::filesystem::path& folder);
+
+std::string StabilityMarkdown(const Json& result);
+
+}  // namespace nrff
