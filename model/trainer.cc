@@ -38,6 +38,12 @@ const Scene& Checked(const Scene& scene) {
       throw InputError("view " + view.name + " has a camera that is not finite; leave it out or correct its pose");
     }
   }
+  for (int k = 0; k < 3; ++k) {
+    if (!(scene.aabb_max[k] - scene.aabb_min[k] > 0)) {
+      throw InputError("the scene's box has no size along " + std::string(1, char('x' + k)) +
+                       "; run the pose stage again, with a box that holds the object");
+    }
+  }
   return scene;
 }
 

@@ -249,6 +249,30 @@ TEST_F(TrainTest, StepsThatAreNotFiniteAreSkippedAndManyInARowEndWithTheEvidence
   EXPECT_TRUE(at::equal(grid, trainer.state().field.parameters()[0].value.detach()));
 }
 
+TEST_F(TrainTest, CheckFindsWhatLossesAndGradientsDoNotShow) {
+  for (const bool check : {false, true}) {
+    Trainer trainer(scene_, pack_, {}, TestPreset(10), {.check = check});
+    trainer.Step();
+    trainer.state().adam_v[1].fill_(INFINITY);
+    if (!check) {
+      trainer.Step();
+      continue;
+    }
+    try {
+      trainer.Step();
+      FAIL() << "went on";
+    } catch (const TrainingDiverged& diverged) {
+      EXPECT_THAT(diverged.what(), HasSubstr("a non-finite second moment in level 0 ("));
+      EXPECT_THAT(diverged.what(), HasSubstr("of appearance_grid at step 1"));
+    }
+  }
+}
+
+TEST_F(TrainTest, ABoxWithoutSizeIsRefused) {
+  scene_.aabb_max[1] = scene_.aabb_min[1];
+  EXPECT_THROW(Trainer(scene_, pack_, {}, TestPreset(10), {}), Error);
+}
+
 TEST_F(TrainTest, ACameraThatIsNotFiniteIsRefusedByName) {
   scene_.views[2].scene_from_camera[3] = NAN;
   try {
@@ -337,6 +361,42 @@ TEST_F(TrainStage, SettingsAndForcedDecisionsAreInTheModelAndTheManifest) {
     if (decision.feature == "cuda") continue;
     EXPECT_EQ(decision.reason, "forced by an option") << decision.feature;
   }
+}
+
+// On this scene 1e4 is just too much and a quarter of it is not.
+TEST_F(TrainStage, GoesBackWithSmallerRatesWhenTheyExplode) {
+  request.steps = 60;
+  request.settings = "train.network_rate=1e4 train.grid_rate=1e4";
+  RunTraining(request, {});
+  const Json facts = RequireArtifact(request.out, "train").facts;
+  EXPECT_GT(facts.at("rollbacks"), 0);
+  EXPECT_EQ(facts.at("steps"), 60);
+}
+
+TEST_F(TrainStage, SaysWhatItMetWhenGoingBackDoesNotHelp) {
+  request.settings = "train.network_rate=1e20 train.grid_rate=1e20";
+  request.steps = 60;
+  try {
+    RunTraining(request, {});
+    FAIL() << "ended";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ExitCode::kInput);
+    EXPECT_THAT(error.what(), HasSubstr("after 3 returns to the last checkpoint"));
+    EXPECT_THAT(error.what(), HasSubstr("diverged.json"));
+  }
+  const Json evidence = ReadJson(request.out.string() + ".partial/diverged.json");
+  EXPECT_EQ(evidence.at("rollbacks"), 3);
+  EXPECT_EQ(evidence.at("rate_scale"), 0.125);
+  EXPECT_GT(evidence.at("parameters").at(0).at("largest"), 1e10);
+  EXPECT_FALSE(std::filesystem::exists(request.out));
+}
+
+TEST_F(TrainStage, SaturatedDensityIsNoFailure) {
+  request.settings = "field.density_shift=1e4";
+  RunTraining(request, {});
+  const Json facts = RequireArtifact(request.out, "train").facts;
+  EXPECT_EQ(facts.at("rollbacks"), 0);
+  EXPECT_EQ(facts.at("steps_skipped"), 0);
 }
 
 TEST_F(TrainStage, ABudgetTooShortForSmallTakesTiny) {
