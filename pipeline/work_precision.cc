@@ -10,6 +10,7 @@
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "pipeline/manifest.h"
+#include "pipeline/needs.h"
 #include "pipeline/report_page.h"
 #include "pipeline/report_summary.h"
 #include "pipeline/run.h"
@@ -127,18 +128,30 @@ Json Measured(const Measurement& measurement, const BranchRequest& scene, Verbos
 const Measurement kRendering{"rendering", "nrff-render", {{"--scene", "pose"}, {"--model", "train"}}};
 const Measurement kScoring{"scoring", "nrff-eval", {{"--scene", "pose"}, {"--renders", "render"}}};
 
-// What SfM spends its time on: one is varied, the others are as `nrff run` begins with many photos.
+// What SfM spends its time on: one is varied, the others are as `nrff run` begins with so many photos.
 struct PoseSetting {
   int image_size = 1000, features = 2048;
-  const char* matching = "sequential";
+  bool exhaustive = false;
+
+  const char* matching() const { return exhaustive ? "exhaustive" : "sequential"; }
+  bool operator==(const PoseSetting&) const = default;
 };
-constexpr PoseSetting kPoseSettings[] = {{},
-                                         {.image_size = 500},
-                                         {.image_size = 1600},
-                                         {.features = 512},
-                                         {.features = 1024},
-                                         {.features = 4096},
-                                         {.matching = "exhaustive"}};
+
+// The first is that of `nrff run`.
+std::vector<PoseSetting> PoseSettings(const Json& ingest) {
+  const std::string where = "ingest's manifest";
+  const PoseSetting usual{
+      .exhaustive =
+          needs::ExhaustiveMatching(Get<int>(ingest, "n_images", where), Get<bool>(ingest, "ordered", where)).needed};
+  std::vector<PoseSetting> settings(7, usual);
+  settings[1].image_size = 500;
+  settings[2].image_size = 1600;
+  settings[3].features = 512;
+  settings[4].features = 1024;
+  settings[5].features = 4096;
+  settings[6].exhaustive = !usual.exhaustive;
+  return settings;
+}
 
 // The folder that all photos of the capture lie in; empty where they lie in several.
 fs::path PhotoFolder(const Workspace& workspace) {
@@ -153,13 +166,11 @@ fs::path PhotoFolder(const Workspace& workspace) {
   return folders.size() == 1 && *folders.begin() != root ? *folders.begin() : fs::path();
 }
 
-Json PosePoint(const PoseSetting& setting, const BranchResult& result, const BranchRequest& scene) {
-  const PoseSetting chosen;
+Json PosePoint(const PoseSetting& setting, bool chosen, const BranchResult& result, const BranchRequest& scene) {
   Json point = {{"image_size", setting.image_size},
                 {"features", setting.features},
-                {"matching", setting.matching},
-                {"chosen", setting.image_size == chosen.image_size && setting.features == chosen.features &&
-                               std::string(setting.matching) == chosen.matching},
+                {"matching", setting.matching()},
+                {"chosen", chosen},
                 {"errors", nullptr},
                 {"error", nullptr}};
   const BranchResult::Stage* failed = result.FirstFailed();
@@ -195,21 +206,24 @@ Json Poses(const BranchRequest& scene, Verbosity verbosity) {
   const fs::path photos = PhotoFolder(scene.workspace);
   if (photos.empty()) return nothing("the photos do not lie in one folder of their own");
   std::vector<BranchRequest> requests;
-  requests.reserve(std::size(kPoseSettings));
-  for (const PoseSetting& setting : kPoseSettings) {
+  const std::vector<PoseSetting> settings = PoseSettings(scene.workspace.Require("ingest").facts);
+  requests.reserve(settings.size());
+  for (const PoseSetting& setting : settings) {
     BranchRequest request = scene;
-    request.name = fmt::format("{}px-{}-{}", setting.image_size, setting.features, setting.matching);
+    request.name = fmt::format("{}px-{}-{}", setting.image_size, setting.features, setting.matching());
     request.workspace = Workspace(scene.workspace.root() / kFolder / "poses" / request.name);
     request.capture = photos;
     request.until = "pose";
     request.options = {{"sfm-image-size", std::to_string(setting.image_size)},
                        {"sfm-features", std::to_string(setting.features)},
-                       {"matching", setting.matching}};
+                       {"matching", setting.matching()}};
     requests.push_back(std::move(request));
   }
   const std::vector<BranchResult> results = RunRequests(requests, verbosity);
   Json points = Json::array();
-  for (size_t i = 0; i < results.size(); ++i) points.push_back(PosePoint(kPoseSettings[i], results[i], scene));
+  for (size_t i = 0; i < results.size(); ++i) {
+    points.push_back(PosePoint(settings[i], settings[i] == settings.front(), results[i], scene));
+  }
   return {{"reason", nullptr}, {"points", points}};
 }
 

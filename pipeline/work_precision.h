@@ -13,7 +13,7 @@
 //     poses      where the capture brings poses: estimated without them, and compared with them (nrff-pose compare)
 //                 {reason: why there is nothing, or null
 //                  points [{image_size, features, matching, seconds: of COLMAP, n_registered, n_images, errors, error:
-//                           how it failed, or null, chosen: what nrff run begins with for many photos in order}]}
+//                           how it failed, or null, chosen: what nrff run begins with for so many photos}]}
 //     host: that the poses were made on; version, date (UTC) of writing
 //   work_precision.md, work_precision.html  the same for people
 #pragma once

@@ -108,8 +108,8 @@ std::string PosesText(const Json& poses) {
   std::string text =
       "\n## Poses\n\nEstimated from the photos alone and compared with the capture's own after a robust alignment; "
       "positions in % of the cameras' rms distance from their mean. AUC: area under the recall curve of relative poses "
-      "up to 5°, photos without a pose counted as misses. Seconds are of COLMAP. Bold: what `nrff run` begins with for "
-      "many photos in order.\n\n"
+      "up to 5°, photos without a pose counted as misses. Seconds are of COLMAP. Bold: what `nrff run` begins "
+      "with for so many photos.\n\n"
       "| photos, px | features | matching | s | registered | position, % | rotation, ° | AUC to 5° |\n"
       "|---:|---:|---|---:|---:|---:|---:|---:|\n";
   for (const Json& point : poses.at("points")) {

@@ -123,19 +123,19 @@ TEST_F(DriverTest, WorkPrecisionEstimatesPosesThatTheCaptureBringsFromItsPhotosA
   Ran();
   const std::vector<std::string> command = {"benchmark", "work-precision", Path("work"), "--parts", "poses"};
   auto failing = posed;
-  failing["FAKE_FAIL"] = "1000px-4096-sequential/sfm";
+  failing["FAKE_FAIL"] = "1000px-4096-exhaustive/sfm";
   const ProgramResult result = Nrff(command, failing);
   EXPECT_EQ(result.exit_code, 0) << result.err;
   const std::vector<std::string> ran = Ran();
   EXPECT_EQ(std::count(ran.begin(), ran.end(), "sfm"), 7);
   EXPECT_EQ(std::count(ran.begin(), ran.end(), "train"), 0);
-  EXPECT_THAT(result.out, HasSubstr("| **1000** | **2048** | sequential |"));
+  EXPECT_THAT(result.out, HasSubstr("| **1000** | **2048** | exhaustive |"));
   EXPECT_THAT(result.out, HasSubstr("| 1.000 | 0.500 | 0.750 |"));
-  EXPECT_THAT(result.out, HasSubstr("failed: 1000px-4096-sequential/sfm was told to fail"));
+  EXPECT_THAT(result.out, HasSubstr("failed: 1000px-4096-exhaustive/sfm was told to fail"));
   const Json poses = ReadJson(root_ / "work/work-precision/work_precision.json")["poses"];
   EXPECT_EQ(poses["points"].size(), 7);
-  EXPECT_EQ(RequireArtifact(root_ / "work/work-precision/poses/500px-2048-sequential/sfm", "sfm").params,
-            (Params{{"matching", "sequential"}, {"sfm-features", "2048"}, {"sfm-image-size", "500"}}));
+  EXPECT_EQ(RequireArtifact(root_ / "work/work-precision/poses/500px-2048-exhaustive/sfm", "sfm").params,
+            (Params{{"matching", "exhaustive"}, {"sfm-features", "2048"}, {"sfm-image-size", "500"}}));
 }
 
 TEST_F(DriverTest, AblationTrainsEverySettingOfThePaperForEqualSteps) {

@@ -67,7 +67,7 @@ int main(int argc, char** argv) {
   }
   // A folder of photos alone brings no poses.
   const bool posed = !Environment("FAKE_POSED").empty() && fs::path(positional).filename() != "images";
-  nrff::Json facts = {{"posed", posed}, {"kind", "photos"}, {"n_images", 8}};
+  nrff::Json facts = {{"posed", posed}, {"kind", "photos"}, {"n_images", 8}, {"ordered", true}};
   if (options.contains("probe") && fs::path(argv[0]).filename() == "nrff-train") {
     if (options["preset"] == "huge") {
       std::cerr << "error: --preset 'huge' is not known" << std::endl;

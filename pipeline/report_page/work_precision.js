@@ -82,7 +82,7 @@ function showScoring() {
 
 function showPoses() {
   byId("poses-hint").textContent = poses.reason ? `Not measured: ${poses.reason}.`
-    : "Estimated from the photos alone and compared with the capture's own after a robust alignment; positions in % of the cameras' rms distance from their mean. AUC: area under the recall curve of relative poses up to 5°, photos without a pose counted as misses. The large point is what nrff run begins with for many photos in order.";
+    : "Estimated from the photos alone and compared with the capture's own after a robust alignment; positions in % of the cameras' rms distance from their mean. AUC: area under the recall curve of relative poses up to 5°, photos without a pose counted as misses. The large point is what nrff run begins with for so many photos.";
   if (poses.points.length === 0) return;
   const text = (point) => `${point.image_size} px, ${point.features} features, ${point.matching}`;
   const good = poses.points.filter((point) => point.errors && isNumber(point.seconds));
