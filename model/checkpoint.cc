@@ -53,7 +53,7 @@ class Writer {
  public:
   void Add(const std::string& name, const Tensor& tensor) {
     if (!AllFinite(tensor.const_data_ptr<float>(), tensor.numel())) {
-      throw InputError("the model's " + name + " is no longer finite; the last checkpoint is kept");
+      throw TrainingDiverged("training left a number that is not finite in " + name);
     }
     tensors_.push_back({name, DType::kF32, tensor.sizes().vec(), tensor.const_data_ptr<float>()});
   }

@@ -24,8 +24,8 @@ inline constexpr char kCheckpointFile[] = "checkpoint.safetensors";
 inline constexpr char kModelFile[] = "model.safetensors";
 inline constexpr int kModelSchemaVersion = 1;
 
-// `settings`: text that must be equal for a training to go on from this checkpoint. Throws InputError, and writes
-// nothing, when a parameter is not finite.
+// `settings`: text that must be equal for a training to go on from this checkpoint. Throws TrainingDiverged, and
+// writes nothing, when a parameter is not finite.
 void SaveCheckpoint(const std::filesystem::path& dir, const TrainState& state, const std::string& settings);
 
 // Fills `state`, which was made with the same configuration. Throws CorruptError (and leaves `state` in part filled)

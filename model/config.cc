@@ -38,10 +38,10 @@ static void from_json(const Json& json, DirectionalEncoding& encoding) {
 }
 
 // to_json and from_json; the latter throws when a key is missing.
-NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(FieldConfig, levels, base_resolution, max_resolution, finest_left_out,
-                                   density_channels, appearance_channels, appearance_line_mean, density_scale,
-                                   density_shift, decoded_features, spatial_layers, spatial_width, bottleneck_width,
-                                   lobes_theta, lobes_phi, lobe_row_width, directional_encoding, directional_layers,
+NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(FieldConfig, levels, base_resolution, max_resolution, density_channels,
+                                   appearance_channels, appearance_line_mean, density_scale, density_shift,
+                                   decoded_features, spatial_layers, spatial_width, bottleneck_width, lobes_theta,
+                                   lobes_phi, lobe_row_width, directional_encoding, directional_layers,
                                    directional_width, activation)
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(TrainConfig, steps, rays, max_rays, target_shaded, grid_rate, network_rate,
                                    final_rate, beta1, beta2, epsilon, lazy_grids, reset_with_step, orientation_weight,
@@ -77,10 +77,8 @@ void CheckConfig(const FieldConfig& config) {
   if (config.decoded_features < 0 || config.decoded_features > kMost) {
     throw std::invalid_argument("decoded_features must not be negative, nor beyond " + std::to_string(kMost));
   }
-  MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.density_channels,
-                 config.finest_left_out);
-  MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.appearance_channels,
-                 config.finest_left_out);
+  MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.density_channels);
+  MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.appearance_channels);
   MakeLobes(config.lobes_theta, config.lobes_phi);
 }
 
@@ -123,9 +121,7 @@ bool SameKind(const Json& had, const Json& given) {
 
 FieldConfig FieldConfigFromJson(const Json& json, const std::string& where) {
   try {
-    Json complete = {{"finest_left_out", 0},
-                     {"decoded_features", 0},
-                     {"directional_encoding", "ree"}};  // models of 0.2 do not name them
+    Json complete = {{"decoded_features", 0}, {"directional_encoding", "ree"}};  // models of 0.2 do not name them
     complete.update(json);
     const auto config = complete.get<FieldConfig>();
     CheckConfig(config);

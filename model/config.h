@@ -24,7 +24,7 @@ struct FieldConfig {
   // Multiscale tensor decomposition (kernels/feature_grid.h).
   int levels = 16;
   int base_resolution = 16, max_resolution = 512;
-  int finest_left_out = 0;  // of the levels; the others keep their resolutions
+  int finest_left_out = 0;  // of the levels, the others keep their resolutions; of fields in memory, in no file
   int density_channels = 2, appearance_channels = 4;  // per level, 2 or a multiple of 4
   double appearance_line_mean = 0;  // lines start at mean + 0.1·randn, planes and density lines at 0.1·randn
   // sigma = density_scale · softplus(f + density_shift), per unit of Samples::delta.

@@ -13,9 +13,7 @@ int MomentsBehind(const std::vector<double>& moments, double progress) {
   return int(std::upper_bound(moments.begin(), moments.end(), progress) - moments.begin());
 }
 
-int StepStage(const TrainConfig& config, double progress) {
-  return MomentsBehind(config.step_moments, progress);
-}
+int StepStage(const TrainConfig& config, double progress) { return MomentsBehind(config.step_moments, progress); }
 
 double MarchingStep(const TrainConfig& config, int stage, const SceneMap& map) {
   const auto& h = map.half_extent;

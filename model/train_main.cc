@@ -24,7 +24,7 @@ int main(int argc, char** argv) {
   what->require_option(1);
   what->add_option("--out", request.out, "where the artifact is put")->type_name("DIR")->needs(scene);
   what->add_flag("--probe", probe, "check the options, print what they mean as one JSON object, train nothing");
-  app.add_flag("--check", request.check, "look at every number after every step, to find where one stops being finite");
+  app.add_flag("--check", request.check, "end at the first number that is not finite and name it");
   app.add_option("--threads", request.n_threads, "threads; 0: one per core")->check(CLI::NonNegativeNumber);
 
   const char* group = nrff::kParameterGroup;

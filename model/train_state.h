@@ -6,10 +6,17 @@
 #include <vector>
 
 #include "model/nrff_field.h"
+#include "pipeline/error.h"
 #include "render/occupancy_grid.h"
 #include "render/scene_map.h"
 
 namespace nrff {
+
+// Training met numbers that are not finite and cannot go on from where it is.
+class TrainingDiverged : public Error {
+ public:
+  explicit TrainingDiverged(const std::string& message) : Error(ExitCode::kInput, message) {}
+};
 
 // One measurement of the model on held-out views.
 struct CurvePoint {
@@ -37,7 +44,7 @@ struct TrainState {
   int occupancy_updates = 0;       // also the counter of their random streams
   int occupancy_moments_done = 0;  // of TrainConfig::occupancy_moments
   int shrink_moments_done = 0;     // of TrainConfig::shrink_moments
-  int64_t n_skipped = 0;  // steps left out for a non-finite loss or gradient
+  int64_t n_skipped = 0;           // steps left out for a non-finite loss or gradient
   int n_skipped_in_row = 0;
   double rate_scale = 1;  // of all learning rates: halved whenever training diverged
   int rollbacks = 0;      // times it went back to a checkpoint for that

@@ -177,6 +177,9 @@ void Trainer::Step() {
         state_.train_mse < 0 ? result.mse : kMseMemory * state_.train_mse + (1 - kMseMemory) * result.mse;
   } else {
     ++state_.n_skipped;
+    if (options_.check) {
+      throw TrainingDiverged("training met " + not_finite + " at step " + std::to_string(state_.step));
+    }
     if (++state_.n_skipped_in_row == kMostSkipped) {
       throw TrainingDiverged("training met " + not_finite + " in each of " + std::to_string(kMostSkipped) +
                              " steps up to step " + std::to_string(state_.step) +
@@ -198,8 +201,13 @@ void Trainer::Step() {
 }
 
 std::string Trainer::NotFinite(const TrainingStep::Result& result) const {
-  const double loss = result.mse + result.orientation + result.sparsity + result.depth;
-  if (!std::isfinite(loss)) return std::isnan(loss) ? "a loss that is not a number" : "an infinite loss";
+  for (const auto& [name, loss] : {std::pair("colour", result.mse),
+                                   {"orientation", result.orientation},
+                                   {"sparsity", result.sparsity},
+                                   {"depth", result.depth}}) {
+    if (std::isfinite(loss)) continue;
+    return std::string(std::isnan(loss) ? "a loss that is not a number (" : "an infinite loss (") + name + ")";
+  }
   for (size_t i = 0; i < step_.gradients().size(); ++i) {
     const std::string where = NotFiniteIn(step_.gradients()[i], i);
     if (!where.empty()) return "a non-finite gradient of " + where;
@@ -214,10 +222,11 @@ std::string Trainer::NotFiniteIn(const Tensor& values, size_t parameter) const {
   const auto at = std::find_if(data, data + values.numel(), [](float value) { return !std::isfinite(value); }) - data;
   if (!state_.field.parameters()[parameter].is_grid) return name;
   const GridLayout& layout = name == "density_grid" ? state_.field.density_layout() : state_.field.appearance_layout();
-  size_t level = 0;
-  while (level + 1 < layout.levels.size() && layout.levels[level + 1].plane_offsets[0] <= at) ++level;
-  return "level " + std::to_string(level) + " (" + std::to_string(layout.levels[level].resolution) + " nodes) of " +
-         name;
+  size_t entry = 0;
+  while (entry + 1 < layout.levels.size() && layout.levels[entry + 1].plane_offsets[0] <= at) ++entry;
+  const size_t n_entries = layout.levels.size() / size_t(state_.field.config().levels);  // of a level
+  return "level " + std::to_string(entry / n_entries) + " (" + std::to_string(layout.levels[entry].resolution) +
+         " nodes) of " + name;
 }
 
 void Trainer::CheckState() const {

@@ -14,7 +14,6 @@
 #include "model/ray_batch.h"
 #include "model/train_state.h"
 #include "model/training_step.h"
-#include "pipeline/error.h"
 #include "pipeline/json.h"
 #include "pipeline/scene.h"
 
@@ -23,13 +22,8 @@ namespace nrff {
 struct TrainOptions {
   double budget_seconds = 0;  // of training; 0: config.steps decide
   uint64_t seed = 0;
-  bool check = false;  // look at every parameter and moment after every step, not at losses and gradients alone
-};
-
-// Training met numbers that are not finite and cannot go on from where it is.
-class TrainingDiverged : public Error {
- public:
-  explicit TrainingDiverged(const std::string& message) : Error(ExitCode::kInput, message) {}
+  // Ends at the first number that is not finite, and looks for one in every parameter and moment after every step, too.
+  bool check = false;
 };
 
 class Trainer {
@@ -45,8 +39,8 @@ class Trainer {
   bool Done() const;
 
   // One step of the optimiser and what the schedule has due before it. A non-finite loss or gradient leaves the model
-  // as it is and is counted; throws TrainingDiverged with the evidence when that happens kMostSkipped times in a row,
-  // and with TrainOptions::check when the step leaves a parameter or moment that is not finite.
+  // as it is and is counted; throws TrainingDiverged saying what was met when that happens kMostSkipped times in a
+  // row, with TrainOptions::check at once and also when the step leaves a parameter or moment that is not finite.
   void Step();
   static constexpr int kMostSkipped = 20;
 
@@ -57,8 +51,11 @@ class Trainer {
   // How images of the present model are rendered.
   RenderOptions EvaluationOptions() const;
 
-  // What a person needs to find out why training diverged: {step, n_rays, seed: of the batch, n_skipped, rate_scale,
-  // rollbacks, parameters [{name, largest: of the finite ones' size, n_not_finite}]}.
+  // Throws TrainingDiverged when a parameter or a moment of Adam's is not finite.
+  void CheckState() const;
+
+  // What a person needs to find out why training diverged: {step, seed: which together give the batch, n_rays,
+  // n_skipped, rate_scale, rollbacks, parameters [{name, largest: of the finite ones' size, n_not_finite}]}.
   Json Evidence() const;
 
   // dB; NaN before the first step.
@@ -72,7 +69,6 @@ class Trainer {
   std::string NotFinite(const TrainingStep::Result& result) const;
   // "level 3 (40 nodes) of density_grid" for the first element that is not finite; empty where there is none.
   std::string NotFiniteIn(const torch::Tensor& values, size_t parameter) const;
-  void CheckState() const;
   void Optimise(double progress);
 
   const Scene& scene_;

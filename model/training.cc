@@ -52,6 +52,9 @@ std::string FirstPreset(const std::string& asked) { return asked == kAutoPreset 
 void ApplyRequest(const TrainingRequest& request, Preset& preset) {
   ApplySettings(request.settings, preset);
   if (!request.directional.empty()) {
+    if (request.settings.find("field.directional_encoding=") != std::string::npos) {
+      throw UsageError("--directional and --set both name the directional encoding; give it once");
+    }
     ApplySettings("field.directional_encoding=\"" + request.directional + "\"", preset);
   }
   if (request.steps > 0) preset.train.steps = request.steps;
@@ -126,6 +129,9 @@ void Evaluate(const HeldOutViews& held_out, Trainer& trainer) {
   TrainState& state = trainer.state();
   const auto start = Clock::now();
   const double psnr = held_out.Psnr(state.field, state.occupancy, state.map, trainer.EvaluationOptions());
+  if (std::isnan(psnr) || std::isnan(trainer.TrainPsnr())) {
+    throw TrainingDiverged("training shows what is no number up to step " + std::to_string(state.step));
+  }
   state.curve.push_back({state.seconds, state.step, state.samples, psnr, trainer.TrainPsnr()});
   state.seconds_evaluating += SecondsSince(start);
   LogInfo("step " + std::to_string(state.step) + ", " + FormatSeconds(state.seconds) + ": held-out " + Decibels(psnr) +
@@ -164,8 +170,8 @@ void RollBack(const std::filesystem::path& dir, const std::string& settings, con
   state.seconds = seconds;
   state.n_skipped = n_skipped;
   state.n_skipped_in_row = 0;
-  LogWarning(std::string(diverged.what()) + "; training goes on from step " + std::to_string(state.step) + " with " +
-             std::to_string(int(std::lround(100 * rate_scale))) + " % of its rates");
+  LogWarning(std::string(diverged.what()) + "; training goes on from step " + std::to_string(state.step) +
+             " with rates divided by " + std::to_string(std::lround(1 / rate_scale)));
 }
 
 void TrainToTheEnd(Trainer& trainer, const HeldOutViews& held_out, const std::string& settings,
@@ -178,20 +184,20 @@ void TrainToTheEnd(Trainer& trainer, const HeldOutViews& held_out, const std::st
   while (!trainer.Done()) {
     try {
       trainer.Step();
+      ShowProgress(trainer, seconds_before, progress_before, progress);
+      if (state.evaluations < kCurvePoints && trainer.Progress() >= CurveMoment(state.evaluations)) {
+        while (state.evaluations < kCurvePoints && trainer.Progress() >= CurveMoment(state.evaluations))
+          ++state.evaluations;
+        if (!held_out.empty()) Evaluate(held_out, trainer);
+      }
+      if (state.seconds - seconds_at_checkpoint > kSecondsPerCheckpoint && state.n_skipped_in_row == 0) {
+        SaveCheckpoint(artifact.dir(), state, settings);
+        artifact.SaveSeconds();
+        seconds_at_checkpoint = state.seconds;
+      }
+      if (trainer.Done()) trainer.CheckState();  // what is kept is finite
     } catch (const TrainingDiverged& diverged) {
       RollBack(artifact.dir(), settings, diverged, trainer);
-      continue;
-    }
-    ShowProgress(trainer, seconds_before, progress_before, progress);
-    if (state.evaluations < kCurvePoints && trainer.Progress() >= CurveMoment(state.evaluations)) {
-      while (state.evaluations < kCurvePoints && trainer.Progress() >= CurveMoment(state.evaluations))
-        ++state.evaluations;
-      if (!held_out.empty()) Evaluate(held_out, trainer);
-    }
-    if (state.seconds - seconds_at_checkpoint > kSecondsPerCheckpoint && state.n_skipped_in_row == 0) {
-      SaveCheckpoint(artifact.dir(), state, settings);
-      artifact.SaveSeconds();
-      seconds_at_checkpoint = state.seconds;
     }
   }
   progress.Done("training views " + Decibels(trainer.TrainPsnr()));

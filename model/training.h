@@ -20,7 +20,7 @@ struct TrainingRequest {
   uint64_t seed = 0;
   std::optional<bool> fine_levels, sparse_depth;  // forced either way
   std::string device = "auto";
-  int n_threads = 0;  // 0: one per core
+  int n_threads = 0;   // 0: one per core
   bool check = false;  // TrainOptions::check
 };
 

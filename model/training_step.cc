@@ -61,8 +61,8 @@ TrainingStep::TrainingStep(const NrffField& field) : field_(field), networks_(fi
   const int n_density = density.n_products();
   for (int task = 0; task < n_density + appearance.n_products(); ++task) scatter_tasks_.push_back(task);
   const auto cost = [&](int task) {
-    return task < n_density ? density.levels[task / 3].resolution
-                            : 2 * appearance.levels[(task - n_density) / 3].resolution;
+    const GridLayout& layout = task < n_density ? density : appearance;
+    return layout.n_channels * layout.levels[(task < n_density ? task : task - n_density) / 3].resolution;
   };
   std::stable_sort(scatter_tasks_.begin(), scatter_tasks_.end(), [&](int a, int b) { return cost(a) > cost(b); });
 }

@@ -26,6 +26,7 @@ namespace fs = std::filesystem;
 
 constexpr int kAblationSchemaVersion = 1;
 constexpr char kFolder[] = "ablation";
+constexpr char kRee[] = "mtd-ree";  // the variant's name
 
 struct Variant {
   std::string name, label, settings;
@@ -55,7 +56,7 @@ std::string Mtd(const Grid& grid, const char* encoding) {
   return Settings(grid) + " field.decoded_features=0" + Encoding(encoding);
 }
 
-Group Parts(const Grid& own, const std::string& own_encoding) {
+Group Parts(const Grid& own, const std::string& own_name) {
   constexpr int kTensorfVoxels = 300;  // an axis, where TensoRF's grids end
   const Grid single{1, std::min(own.max, kTensorfVoxels), std::min(own.max, kTensorfVoxels)};
   const std::string vector_matrix =
@@ -65,7 +66,8 @@ Group Parts(const Grid& own, const std::string& own_encoding) {
       "Grids and directional encodings",
       fmt::format("Vector-matrix grids have TensoRF's channels (16 for density, 48 for appearance) at one scale of "
                   "{0} nodes; decoded, a linear layer makes 27 features of theirs. MTD is the model's own grid. The "
-                  "networks are the same in all rows. PE: positional encoding of the ray's direction; IDE: "
+                  "networks have the same widths and depths in all rows, but for no specular, which has no directional "
+                  "one. PE: positional encoding of the ray's direction; IDE: "
                   "integrated directional encoding of the reflected one; no specular: the diffuse colour alone.",
                   single.max),
       "NeRF-synthetic, mean of 8 scenes at 800 px, 60,000 steps of the full model [Han23]",
@@ -74,16 +76,16 @@ Group Parts(const Grid& own, const std::string& own_encoding) {
        {"mtd-none", "MTD, no specular", Mtd(own, "none"), 33.53},
        {"mtd-pe", "MTD + PE", Mtd(own, "pe"), 34.58},
        {"mtd-ide", "MTD + IDE", Mtd(own, "ide"), 34.61},
-       {"mtd-ree", "MTD + REE", Mtd(own, "ree"), 35.02}}};
-  for (Variant& variant : group.variants) variant.own = variant.name == "mtd-" + own_encoding;
+       {kRee, "MTD + REE", Mtd(own, "ree"), 35.02}}};
+  for (Variant& variant : group.variants) variant.own = variant.name == own_name;
   return group;
 }
 
-Group Levels(const Grid& own, const std::string& own_encoding) {
+Group Levels(const Grid& own, const std::string& own_name) {
   Group group{"levels",
               "Levels",
               fmt::format("From {} to {} nodes, a single level at {}; nothing else changes, so that fewer levels are "
-                          "also fewer features.",
+                          "also fewer features; REE.",
                           own.base, own.max, own.max),
               "ship of NeRF-synthetic [Han23]",
               {}};
@@ -98,9 +100,9 @@ Group Levels(const Grid& own, const std::string& own_encoding) {
                                             : n == 16 ? std::optional(33.2)
                                                       : std::nullopt;
     // The model's own levels are a row of the parts, too, and are trained once.
-    group.variants.push_back({grid == own ? "mtd-ree" : fmt::format("levels-{}", n),
+    group.variants.push_back({grid == own ? kRee : fmt::format("levels-{}", n),
                               fmt::format("{} level{}", n, n == 1 ? "" : "s"), Mtd(grid, "ree"), published,
-                              grid == own && own_encoding == "ree"});
+                              grid == own && own_name == kRee});
   }
   return group;
 }
@@ -115,9 +117,11 @@ Json MeasureAblation(const Workspace& workspace, const AblationOptions& options,
   const Json field = Get<Json>(Get<Json>(facts, "settings", where), "field", where);
   const Grid own{Get<int>(field, "levels", where), Get<int>(field, "base_resolution", where),
                  Get<int>(field, "max_resolution", where)};
-  const Json& given = At(field, "directional_encoding");  // models of 0.2 do not name it
-  const std::string encoding = given.is_string() ? given.get<std::string>() : "ree";
-  const std::vector<Group> groups = {Parts(own, encoding), Levels(own, encoding)};
+  // Models of 0.2 do not name these.
+  const Json &encoding = At(field, "directional_encoding"), &decoded = At(field, "decoded_features");
+  const bool plain = !decoded.is_number() || decoded == 0;
+  const std::string own_name = plain ? "mtd-" + (encoding.is_string() ? encoding.get<std::string>() : "ree") : "";
+  const std::vector<Group> groups = {Parts(own, own_name), Levels(own, own_name)};
   const int64_t steps = options.steps > 0 ? options.steps : Get<int64_t>(facts, "steps", where);
   const auto preset = Get<std::string>(facts, "preset", where);
 
@@ -147,7 +151,9 @@ Json MeasureAblation(const Workspace& workspace, const AblationOptions& options,
                  {"seeds", options.n_seeds},
                  {"preset", preset},
                  {"groups", Json::array()},
-                 {"host", workspace.Require("pose").host},
+                 {"width", At(workspace.Require("pose").facts, "width")},
+                 {"height", At(workspace.Require("pose").facts, "height")},
+                 {"host", ThisHost()},
                  {"version", Version()},
                  {"date", fmt::format("{:%Y-%m-%d}", fmt::gmtime(std::time(nullptr)))}};
   for (const Group& group : groups) {
@@ -181,11 +187,13 @@ std::string AblationMarkdown(const Json& result) {
   const auto n_seeds = result.at("seeds").get<int>();
   std::string text = fmt::format(
       "# What each part is worth: {0}\n\nnrff {1}, {2}, {3}. Command: `nrff benchmark ablation WORKSPACE --steps {5} "
-      "--seeds {6}`. Preset {4}, {5} steps each{7}; figures are means over all held-out views, renders of 16 bits; "
+      "--seeds {6}`. Preset {4}, {8} × {9} px, {5} steps each{7}; figures are means over all held-out views, renders "
+      "of 16 bits; "
       "seconds are of training alone. Bold: the model as it is.\n",
       CellText(result.at("name")), CellText(result.at("version")), CellText(At(result.at("host"), "cpu")),
       CellText(result.at("date")), CellText(result.at("preset")), result.at("steps").get<int64_t>(), n_seeds,
-      n_seeds > 1 ? fmt::format(", {} seeds (in brackets the least and the most)", n_seeds) : "");
+      n_seeds > 1 ? fmt::format(", {} seeds (in brackets the least and the most)", n_seeds) : "",
+      Figure(result.at("width"), "{:.0f}"), Figure(result.at("height"), "{:.0f}"));
   for (const Json& group : result.at("groups")) {
     text += fmt::format(
         "\n## {}\n\n{} Published: {}.\n\n"
@@ -198,7 +206,7 @@ std::string AblationMarkdown(const Json& result) {
       text += fmt::format("| {0}{1}{0} | {2} | {3} | {4} | {5} | {6} | {7} | {8} |\n", mark, CellText(row.at("label")),
                           BandText(row.at("psnr"), "{:.2f}"), BandText(row.at("ssim"), "{:.4f}"),
                           BandText(row.at("lpips"), "{:.4f}"), BandText(row.at("n_parameters"), "{:.0f}"),
-                          BandText(row.at("seconds"), "{:.0f}"), BandText(row.at("seconds_per_view"), "{:.3f}"),
+                          BandText(row.at("seconds"), "{:.1f}"), BandText(row.at("seconds_per_view"), "{:.3f}"),
                           Figure(row.at("published"), "{:.2f}"));
     }
   }

@@ -2,12 +2,12 @@
 // and its ablation of the levels), each trained for equal steps on the scene's own poses.
 //
 //   ablation.json  (schema 1)
-//     name, steps, seeds, preset
+//     name, steps, seeds, preset, width, height (px, of the largest view)
 //     groups  [{name, title, note, published: what the published figures are of,
 //               rows [{name, label, settings: changes of the preset, as --set takes them, published: dB or null,
 //                      own: whether it is the model as it is, runs [TrainingRow],
 //                      psnr, ssim, lpips, seconds, seconds_per_view, n_parameters: {mean, least, most} or null}]}]
-//     host: that the poses were made on; version, date (UTC) of writing
+//     host: where this was written; version, date (UTC) of writing
 //   ablation.md, ablation.html  the same for people
 #pragma once
 

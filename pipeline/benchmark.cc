@@ -152,7 +152,7 @@ Json Differences(const DataSet& data_set, const Json& rows, const Json& missing)
 
   const std::string models = ByScene(rows, [](const Json& row) {
     if (!row.at("training_seconds").is_number() || !row.at("preset").is_string()) return std::string();
-    return fmt::format("preset {}, {} steps in {:.0f} s on {}", row.at("preset").get<std::string>(),
+    return fmt::format("preset {}, {} steps in {:.1f} s on {}", row.at("preset").get<std::string>(),
                        row.at("steps").get<int>(), row.at("training_seconds").get<double>(),
                        row.at("device") == "cuda" ? "a GPU" : "the CPU");
   });
@@ -289,7 +289,8 @@ std::string BenchmarkMarkdown(const Json& table) {
   text += fmt::format("| **mean of {}** | {} | | | {} | | | {} |\n\n", mean.at("n_scenes").get<int>(), Figures(mean),
                       Figure(mean.at("training_seconds"), "{:.1f}"), Figure(mean.at("seconds_per_view"), "{:.3f}"));
   if (!table.at("published").empty()) text += PublishedText(table);
-  text += "What differs, and how the figures were made:\n\n";
+  text += table.at("published").empty() ? "How the figures were made:\n\n"
+                                        : "What differs, and how the figures were made:\n\n";
   for (const Json& difference : table.at("differences")) text += "- " + CellText(difference) + "\n";
   text +=
       "\nThe same as other projects print it, PSNR in dB: of the mean squared error over all images; of images rounded "

@@ -202,7 +202,7 @@ Command AddStability(CLI::App& command) {
 }  // namespace
 
 Command AddBenchmarkCommand(CLI::App& app) {
-  CLI::App* command = app.add_subcommand("benchmark", "Data sets; error against time; ablation");
+  CLI::App* command = app.add_subcommand("benchmark", "Data sets; error against time; ablation; stability");
   command->require_subcommand(1);
   command->footer("Example: nrff benchmark tanks-and-temples TanksAndTemple/ --budget 20m");
   std::vector<Command> kinds;

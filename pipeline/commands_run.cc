@@ -148,7 +148,9 @@ Command AddReportCommand(CLI::App& app) {
       ->required()
       ->type_name("");
   AddVerbosityOptions(*command, options->output);
-  command->footer("Example: nrff report work/castle work/fox");
+  command->footer(
+      "A joint report goes to report/ in the folder that the workspaces lie in.\n"
+      "Example: nrff report work/castle work/fox");
   return {command, [options] {
             SetVerbosity(options->output.verbosity());
             Report(options->workspaces);

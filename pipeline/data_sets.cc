@@ -110,9 +110,9 @@ const std::vector<DataSet>& DataSets() {
        "none",
        {{"TensoRF", 26.73, {}, {}, "", kTensoRf}}},
       {"captures",
-       "Captures",
+       "Captures of one's own",
        {},
-       "photos, also in images/ or photos/, or a posed capture",
+       "photos (it or its images/ or photos/), or a posed capture",
        IsCapture,
        0,
        0,
@@ -140,8 +140,10 @@ std::vector<fs::path> FindScenes(const DataSet& data_set, const fs::path& dir) {
     }
   }
   if (scenes.empty()) {
-    throw InputError(EscapePath(dir) + " holds no scene of " + data_set.name + ": none of its " +
-                     std::to_string(n_others) + " folders has " + data_set.layout);
+    throw InputError(EscapePath(dir) + " holds no scene of " + data_set.name + ": " +
+                     (n_others == 0 ? "there is no folder in it that has "
+                                    : "none of its " + std::to_string(n_others) + " folders has ") +
+                     data_set.layout);
   }
   std::sort(scenes.begin(), scenes.end());
   return scenes;

@@ -118,7 +118,8 @@ std::string PosesText(const Json& poses) {
                         point.at("features").get<int>(), bold, point.at("matching").get<std::string>(),
                         Figure(point.at("seconds"), "{:.1f}"));
     if (point.at("error").is_string()) {
-      text += fmt::format(" failed: {} ||||\n", CellText(point.at("error")));
+      const auto error = point.at("error").get<std::string>();
+      text += fmt::format(" {} ||||\n", CellText(error.substr(0, error.find("; "))));
       continue;
     }
     const Json& errors = point.at("errors");

@@ -1,6 +1,5 @@
 #include "sfm/crop_volume.h"
 
-#include <array>
 #include <cmath>
 #include <string>
 
@@ -32,7 +31,8 @@ CropVolume ReadCropVolume(const std::filesystem::path& file) {
   } catch (const Json::exception& error) {
     throw refuse(std::string("it is no JSON (") + error.what() + ")");
   }
-  if (json.value("class_name", "") != "SelectionPolygonVolume") throw refuse("it is no SelectionPolygonVolume");
+  if (!json.is_object() || !json.contains("class_name") || json.at("class_name") != "SelectionPolygonVolume")
+    throw refuse("it is no SelectionPolygonVolume");
   CropVolume volume;
   try {
     const auto axis = json.at("orthogonal_axis").get<std::string>();
@@ -41,11 +41,14 @@ CropVolume ReadCropVolume(const std::filesystem::path& file) {
     volume.axis = int(known % 3);
     volume.least = json.at("axis_min").get<double>();
     volume.most = json.at("axis_max").get<double>();
-    for (const auto& [x, y, z] : json.at("bounding_polygon").get<std::vector<std::array<double, 3>>>()) {
-      volume.polygon.emplace_back(x, y, z);
+    for (const auto& corner : json.at("bounding_polygon").get<std::vector<std::vector<double>>>()) {
+      if (corner.size() != 3)
+        throw refuse("a corner of bounding_polygon has " + std::to_string(corner.size()) + " numbers");
+      volume.polygon.emplace_back(corner[0], corner[1], corner[2]);
     }
   } catch (const Json::exception& error) {
-    throw refuse(error.what());
+    throw refuse(std::string("orthogonal_axis, axis_min, axis_max or bounding_polygon is not as expected (") +
+                 error.what() + ")");
   }
   if (!(volume.least < volume.most)) throw refuse("axis_min is not less than axis_max");
   if (volume.polygon.size() < 3) throw refuse("bounding_polygon has fewer than three corners");

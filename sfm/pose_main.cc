@@ -98,7 +98,9 @@ int main(int argc, char** argv) {
   compare->add_option("--estimated", estimated, "Estimated poses")->required();
   compare->add_option("--truth", truth, "True poses")->required();
   compare->add_option("--transform", transform, "Moves the true poses first: a 4×4 similarity (trans.txt)");
-  compare->add_option("--crop", crop, "Also how far off the object in this volume is seen (SCENE.json)");
+  compare->add_option(
+      "--crop", crop,
+      "Also by how much the object in this volume (SCENE.json, in the frame of\nthe moved true poses) is seen off");
   compare->add_option("--aligned", aligned, "Writes the estimated poses in the true frame as .log");
   compare->add_flag("--json", as_json, "The errors as JSON");
   nrff::AddVerbosity(*compare);

@@ -391,6 +391,20 @@ TEST_F(TrainStage, SaysWhatItMetWhenGoingBackDoesNotHelp) {
   EXPECT_FALSE(std::filesystem::exists(request.out));
 }
 
+// Fewer steps than are left out before training goes back: what the held-out views show tells.
+TEST_F(TrainStage, AShortTrainingThatExplodesIsNoModelEither) {
+  request.settings = "train.network_rate=1e20 train.grid_rate=1e20";
+  request.steps = 8;
+  EXPECT_THROW(RunTraining(request, {}), Error);
+  EXPECT_TRUE(std::filesystem::exists(request.out.string() + ".partial/diverged.json"));
+}
+
+TEST_F(TrainStage, TheDirectionalEncodingIsGivenOnce) {
+  request.settings = "field.directional_encoding=\"pe\"";
+  request.directional = "none";
+  EXPECT_THROW(RunTraining(request, {}), Error);
+}
+
 TEST_F(TrainStage, SaturatedDensityIsNoFailure) {
   request.settings = "field.density_shift=1e4";
   RunTraining(request, {});

@@ -305,6 +305,11 @@ TEST(CropVolume, SaysHowFarOffTheObjectIsSeen) {
   for (const auto& [text, told] : std::vector<std::pair<const char*, const char*>>{
            {"[", "it is no JSON"},
            {R"({"class_name": "Box"})", "it is no SelectionPolygonVolume"},
+           {"[]", "it is no SelectionPolygonVolume"},
+           {R"({"class_name": 3})", "it is no SelectionPolygonVolume"},
+           {R"({"class_name": "SelectionPolygonVolume", "orthogonal_axis": "X", "axis_min": 0, "axis_max": 1,
+                "bounding_polygon": [[0, 0, 0, 7], [1, 1, 1], [1, 2, 3]]})",
+            "a corner of bounding_polygon has 4 numbers"},
            {R"({"class_name": "SelectionPolygonVolume", "orthogonal_axis": "W"})", "orthogonal_axis is 'W'"},
            {R"({"class_name": "SelectionPolygonVolume", "orthogonal_axis": "X"})", "axis_min"},
            {R"({"class_name": "SelectionPolygonVolume", "orthogonal_axis": "X", "axis_min": 1, "axis_max": 1,

@@ -390,7 +390,7 @@ void ShadingTile::Backward(const ShadingNetworks& networks, int64_t n_samples, c
   const std::span<const ShadingGradients::Layer> layers(gradients.layers());
   const size_t n_spatial = networks.spatial.size(), n_directional = networks.directional.size();
   if (networks.encoding == DirectionalEncoding::kNone) {
-    for (int c = 0; c < 3; ++c) DiffuseColourBackward(Row(rgb_ + c), Row(d_rgb_ + c), n, Row(d_spatial_out_ + c));
+    for (int c = 0; c < 3; ++c) DiffuseColourBackward(Row(rgb_ + c), Row(d_rgb_ + c), n, Row(d_spatial_out_ + kDiffuse + c));
   } else {
     for (int c = 0; c < 3; ++c) {
       ColourBackward(Row(spatial_out_ + kTint + c), Row(specular_ + c), Row(rgb_ + c), Row(d_rgb_ + c), n,

@@ -1,11 +1,11 @@
 // A table per group of settings; what a part is worth is the difference to the group's best row.
-byId("lead").textContent = [`preset ${DATA.preset}`, `${format.count(DATA.steps)} steps each`, `nrff ${DATA.version}`, DATA.host?.cpu, DATA.date].filter(Boolean).join(" · ");
+byId("lead").textContent = [`preset ${DATA.preset}`, ...(isNumber(DATA.width) ? [`${DATA.width} × ${DATA.height} px`] : []), `${format.count(DATA.steps)} steps each`, `nrff ${DATA.version}`, DATA.host?.cpu, DATA.date].filter(Boolean).join(" · ");
 byId("protocol").textContent = "Means over all held-out views, renders of 16 bits; seconds are of training alone. "
-  + (DATA.seeds > 1 ? `${DATA.seeds} seeds, in brackets the least and the most. ` : "One seed: differences below about 0.1 dB mean nothing. ")
+  + (DATA.seeds > 1 ? `${DATA.seeds} seeds, in brackets the least and the most. ` : "One seed: another one differs by some tenths of a dB. ")
   + "Bold: the model as it is.";
 
 const loss = (value, best) => (isNumber(value) && isNumber(best) ? value - best : null);
-const signed = (value) => (isNumber(value) ? (value > -0.005 ? "best" : value.toFixed(2).replace("-", "−")) : DASH);
+const signed = (value) => (isNumber(value) ? (value === 0 ? "best" : value.toFixed(2).replace("-", "−")) : DASH);
 for (const group of DATA.groups) {
   const best = Math.max(...group.rows.map((row) => row.psnr?.mean ?? -Infinity));
   const publishedBest = Math.max(...group.rows.map((row) => row.published ?? -Infinity));

@@ -27,6 +27,7 @@ byId("scenes").append(makeTable([
 ], scenes, {stack: true}).element);
 
 byId("beside").hidden = published.length === 0;
+if (published.length === 0) byId("how").textContent = "How the figures were made";
 const everyScene = missing.length === 0 && scenes.every((scene) => scene.published && isNumber(scene.psnr));
 byId("published-hint").textContent = `Published means are over ${dataSet.scenes.join(", ")}. `
   + (everyScene ? "Ours is over the same scenes." : "Ours is over the scenes above: the two cannot be compared as they stand.");
