@@ -129,7 +129,7 @@ TEST_F(BenchmarkTest, TheTableHasEveryFigureTheMeansAndWhatDiffers) {
   EXPECT_THAT(differences, HasSubstr("not over fox"));
   EXPECT_THAT(differences,
               HasSubstr("Size in px: 400 × 225, area average of 1920 × 1080 (fox); published: 1920 × 1080"));
-  EXPECT_THAT(differences, HasSubstr("preset small, 500 steps in 60 s on the CPU"));
+  EXPECT_THAT(differences, HasSubstr("preset small, 500 steps in 60.0 s on the CPU"));
   EXPECT_THAT(differences, HasSubstr("photos of 8 bits, renders of 16"));
   EXPECT_THAT(differences, HasSubstr("LPIPS: not measured, since no file"));
   EXPECT_THAT(differences, Not(HasSubstr("Background")));

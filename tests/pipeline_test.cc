@@ -137,8 +137,8 @@ TEST_F(PosedPipeline, ErrorAgainstTimeIsMeasuredOnTheScenesOwnModelAndRenders) {
     const auto chosen = [](const Json& point) { return point.at("chosen").get<bool>(); };
     EXPECT_EQ(std::count_if(family.at("points").begin(), family.at("points").end(), chosen), 1) << family;
   }
-  ASSERT_EQ(families.size(), 5u);
-  for (const char* family : {"weight threshold", "early stop", "colour tolerance"}) {
+  ASSERT_EQ(families.size(), 7u);
+  for (const char* family : {"weight threshold", "early stop", "colour tolerance", "precision", "levels left out"}) {
     // From coarse to fine; with nothing left out there is no error.
     EXPECT_EQ(families[family].back().at("rmse"), 0) << family;
     EXPECT_GT(families[family].front().at("rmse"), families[family].back().at("rmse")) << family;
