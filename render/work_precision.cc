@@ -17,7 +17,7 @@ using Clock = std::chrono::steady_clock;
 
 constexpr double kLimitStepShare = 1.0 / 8;
 constexpr int kMostRepeats = 8;
-constexpr double kEnoughSeconds = 2;  // of one setting
+constexpr double kEnoughSeconds = 1;  // of one setting
 
 double SecondsSince(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
 
