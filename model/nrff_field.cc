@@ -199,18 +199,18 @@ NrffField::ShadingParts NrffField::ShadeFeature(const Tensor& appearance_feature
   parts.tint = spatial[1];
   parts.normal = spatial[2] / -spatial[2].norm(2, {1}, /*keepdim=*/true).clamp_min(1e-12);
   parts.bottleneck = spatial[3];
-  parts.lobe_features = spatial[4];
+  parts.encoding_share = spatial[4];
 
   const Tensor wo = -ray_directions.to(type_);
   const Tensor cosine = (wo * parts.normal).sum(1, /*keepdim=*/true);
   parts.reflected_direction = 2 * cosine * parts.normal - wo;
   if (config_.directional_encoding == DirectionalEncoding::kIde) {
-    parts.encoding = IdeEncode(parts.reflected_direction, parts.lobe_features);
+    parts.encoding = IdeEncode(parts.reflected_direction, parts.encoding_share);
   } else if (config_.directional_encoding == DirectionalEncoding::kPe) {
     parts.encoding = PeEncode(-wo);
   } else {
     parts.lobe_parameters =
-        lobe_layer_(parts.lobe_features.reshape({n * config_.lobes_theta, config_.lobe_row_width})).view({n, -1});
+        lobe_layer_(parts.encoding_share.reshape({n * config_.lobes_theta, config_.lobe_row_width})).view({n, -1});
     parts.encoding = ReeEncode(lobes_, parts.reflected_direction, parts.lobe_parameters);
   }
   const Tensor specular = Apply(directional_, at::cat({parts.bottleneck, parts.encoding, cosine}, 1));

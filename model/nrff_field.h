@@ -54,7 +54,7 @@ class NrffField : public RadianceField {
   struct ShadingParts {
     torch::Tensor diffuse, tint, normal;  // [n, 3]; without a directional network, normal is zero
     torch::Tensor bottleneck;             // [n, bottleneck_width]
-    torch::Tensor lobe_features;          // [n, lobes_theta · lobe_row_width], or the other encodings' share
+    torch::Tensor encoding_share;         // [n, lobes_theta · lobe_row_width] features of lobes; IDE: [n, 1]
     torch::Tensor reflected_direction;    // [n, 3]
     torch::Tensor lobe_parameters;        // [n, lobes · kLobeParameters]; of REE alone
     torch::Tensor encoding;               // [n, lobes · kLobeAmplitudes], or that of the other encodings

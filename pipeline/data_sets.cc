@@ -5,6 +5,7 @@
 
 #include "pipeline/error.h"
 #include "pipeline/files.h"
+#include "pipeline/photo_name.h"
 
 namespace nrff {
 namespace {
@@ -40,10 +41,7 @@ bool IsCapture(const fs::path& dir) {
   for (const fs::path& folder : {dir, dir / "images", dir / "photos"}) {
     std::error_code error;
     for (const fs::directory_entry& entry : fs::directory_iterator(folder, error)) {
-      const std::string extension = Lower(entry.path().extension().string());
-      for (const char* known : {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif"}) {
-        if (extension == known && entry.is_regular_file(error)) return true;
-      }
+      if (HasPhotoExtension(entry.path()) && entry.is_regular_file(error)) return true;
     }
   }
   return false;

@@ -8,6 +8,7 @@
 
 #include "pipeline/error.h"
 #include "pipeline/files.h"
+#include "pipeline/photo_name.h"
 
 namespace nrff {
 namespace {

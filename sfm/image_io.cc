@@ -20,8 +20,6 @@ namespace {
 // A header can claim any size; what no camera makes is refused before memory is taken.
 constexpr int64_t kMaxPixels = int64_t{1} << 29;
 
-constexpr std::array<std::string_view, 8> kExtensions = {".jpg",  ".jpeg", ".png",  ".tif",
-                                                         ".tiff", ".webp", ".heic", ".heif"};
 
 // The file is handed to OpenImageIO as /proc/self/fd/N: its own handling of names gives '?' and '#' a meaning.
 class OpenFile {
@@ -270,13 +268,6 @@ Image ReadImageOriented(const std::filesystem::path& path, std::optional<int> or
       decoder.spec().alpha_channel >= 0 && !decoder.spec().get_int_attribute("oiio:UnassociatedAlpha");
   if (premultiplied) Unpremultiply(image);
   return Oriented(ToColour(std::move(image)), orientation.value_or(StoredOrientation(decoder.spec())));
-}
-
-bool HasPhotoExtension(const std::filesystem::path& path) {
-  std::string extension = path.extension();
-  std::transform(extension.begin(), extension.end(), extension.begin(),
-                 [](char c) { return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c; });
-  return std::find(kExtensions.begin(), kExtensions.end(), extension) != kExtensions.end();
 }
 
 }  // namespace nrff

@@ -46,7 +46,4 @@ Image ReadImageOriented(const std::filesystem::path& path, std::optional<int> or
 // Turns a stored raster for display as EXIF orientation 1 to 8 says.
 Image Oriented(Image stored, int orientation);
 
-// Whether a file's name ends like that of a photo (.jpg .jpeg .png .tif .tiff .webp .heic .heif, in any case).
-bool HasPhotoExtension(const std::filesystem::path& path);
-
 }  // namespace nrff

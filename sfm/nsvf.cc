@@ -11,6 +11,7 @@
 
 #include "pipeline/error.h"
 #include "pipeline/files.h"
+#include "pipeline/photo_name.h"
 #include "sfm/image_io.h"
 
 namespace nrff {

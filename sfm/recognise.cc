@@ -13,6 +13,7 @@
 
 #include "pipeline/error.h"
 #include "pipeline/files.h"
+#include "pipeline/photo_name.h"
 #include "sfm/colmap_source.h"
 #include "sfm/nsvf.h"
 #include "sfm/transforms_json.h"

@@ -111,7 +111,7 @@ class FieldModel : public ReferenceModel {
             {"tint", s.tint},
             {"normal", s.normal},
             {"bottleneck", s.bottleneck},
-            {"asg_feature", s.lobe_features},
+            {"asg_feature", s.encoding_share},
             {"asg_a", raw.slice(3, 0, 2)},
             {"asg_lambda_raw", raw.slice(3, 2, 3)},
             {"asg_mu_raw", raw.slice(3, 3, 4)},
