@@ -160,6 +160,7 @@ Json MeasureAblation(const Workspace& workspace, const AblationOptions& options,
     Json rows = Json::array();
     for (const Variant& variant : group.variants) {
       std::vector<Json> runs;
+      runs.reserve(size_t(options.n_seeds));
       for (int seed = 0; seed < options.n_seeds; ++seed) {
         runs.push_back(TrainingRow(folder, requests[first.at(variant.name) + seed]));
       }
