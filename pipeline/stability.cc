@@ -85,12 +85,12 @@ Json MeasureStability(const fs::path& tests, const fs::path& folder) {
   }
   const Json cases = ReadCases(table);
   fs::remove(table);
-  const Json result = {{"schema_version", kStabilitySchemaVersion},
-                       {"cases", cases},
-                       {"n_exceeded", std::count_if(cases.begin(), cases.end(), Exceeded)},
-                       {"host", ThisHost()},
-                       {"version", Version()},
-                       {"date", fmt::format("{:%Y-%m-%d}", fmt::gmtime(std::time(nullptr)))}};
+  Json result = {{"schema_version", kStabilitySchemaVersion},
+                 {"cases", cases},
+                 {"n_exceeded", std::count_if(cases.begin(), cases.end(), Exceeded)},
+                 {"host", ThisHost()},
+                 {"version", Version()},
+                 {"date", fmt::format("{:%Y-%m-%d}", fmt::gmtime(std::time(nullptr)))}};
   WriteJson(folder / "stability.json", result);
   WriteFileAtomically(folder / "stability.md", StabilityMarkdown(result));
   WriteFileAtomically(folder / "stability.html", FillPage("stability.html", "Numerical stability", result));

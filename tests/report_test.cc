@@ -383,7 +383,8 @@ TEST_F(ReportTest, RunsOfOneCaptureAreShownSideBySide) {
 
 // The first of the usual Chromium-like browsers on PATH; empty: there is none.
 fs::path Browser() {
-  std::istringstream folders(std::getenv("PATH"));
+  const char* path = std::getenv("PATH");
+  std::istringstream folders(path == nullptr ? "" : path);
   for (std::string folder; std::getline(folders, folder, ':');) {
     for (const char* name : {"chromium", "chromium-browser", "google-chrome"}) {
       if (fs::exists(fs::path(folder) / name)) return fs::path(folder) / name;

@@ -68,7 +68,8 @@ TEST(Grid, FloatIsDoubleToTheirPlacesRounding) {
   const auto exact = Concat(layout, Converted<double>(parameters), Converted<double>(points));
   Worst worst;
   for (int row = 0; row < layout.n_products(); ++row) {
-    const double last = layout.levels[row / 3].resolution - 1;
+    const int level = row / 3;
+    const double last = layout.levels[level].resolution - 1;
     for (int64_t i = row * n * 4; i < (row + 1) * n * 4; ++i) {
       worst.Add(std::abs(features[i] - exact[i]), (12 * last + 16) * kUnit<float>);
     }
