@@ -130,7 +130,9 @@ void Evaluate(const HeldOutViews& held_out, Trainer& trainer) {
   const auto start = Clock::now();
   const double psnr = held_out.Psnr(state.field, state.occupancy, state.map, trainer.EvaluationOptions());
   if (std::isnan(psnr) || std::isnan(trainer.TrainPsnr())) {
-    throw TrainingDiverged("training shows what is no number up to step " + std::to_string(state.step));
+    throw TrainingDiverged(std::string("the model shows colours that are no numbers in ") +
+                           (std::isnan(psnr) ? "held-out views" : "every training batch") + " by step " +
+                           std::to_string(state.step) + "; lower the preset's rates");
   }
   state.curve.push_back({state.seconds, state.step, state.samples, psnr, trainer.TrainPsnr()});
   state.seconds_evaluating += SecondsSince(start);
@@ -150,19 +152,22 @@ constexpr double kRateOfRollback = 0.5;
 constexpr char kEvidenceFile[] = "diverged.json";
 
 // Goes back to the last checkpoint, with smaller rates; what was spent stays spent. Throws what training met, with the
-// evidence saved, when that was done kMostRollbacks times.
-void RollBack(const std::filesystem::path& dir, const std::string& settings, const TrainingDiverged& diverged,
+// evidence saved, when that was done `most` times.
+void RollBack(const std::filesystem::path& dir, const std::string& settings, const TrainingDiverged& diverged, int most,
               Trainer& trainer) {
   TrainState& state = trainer.state();
   const int rollbacks = state.rollbacks + 1;
   const double seconds = state.seconds, rate_scale = kRateOfRollback * state.rate_scale;
   const int64_t n_skipped = state.n_skipped;
-  if (rollbacks > kMostRollbacks) {
+  if (rollbacks > most) {
     Json evidence = trainer.Evidence();
     evidence["met"] = diverged.what();
     WriteJson(dir / kEvidenceFile, evidence);
-    throw InputError(std::string(diverged.what()) + "; this went on after " + std::to_string(kMostRollbacks) +
-                     " returns to the last checkpoint with halved rates, see " + EscapePath(dir / kEvidenceFile));
+    throw InputError(
+        std::string(diverged.what()) +
+        (most > 0 ? "; this went on after " + std::to_string(most) + " returns to the last checkpoint with halved rates"
+                  : std::string()) +
+        ", see " + EscapePath(dir / kEvidenceFile));
   }
   LoadCheckpoint(dir, settings, state);
   state.rollbacks = rollbacks;
@@ -174,7 +179,7 @@ void RollBack(const std::filesystem::path& dir, const std::string& settings, con
              " with rates divided by " + std::to_string(std::lround(1 / rate_scale)));
 }
 
-void TrainToTheEnd(Trainer& trainer, const HeldOutViews& held_out, const std::string& settings,
+void TrainToTheEnd(Trainer& trainer, const HeldOutViews& held_out, const std::string& settings, bool check,
                    const ArtifactWriter& artifact) {
   TrainState& state = trainer.state();
   Progress progress("training", 100, "%");
@@ -197,7 +202,7 @@ void TrainToTheEnd(Trainer& trainer, const HeldOutViews& held_out, const std::st
       }
       if (trainer.Done()) trainer.CheckState();  // what is kept is finite
     } catch (const TrainingDiverged& diverged) {
-      RollBack(artifact.dir(), settings, diverged, trainer);
+      RollBack(artifact.dir(), settings, diverged, check ? 0 : kMostRollbacks, trainer);
     }
   }
   progress.Done("training views " + Decibels(trainer.TrainPsnr()));
@@ -282,7 +287,7 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
   }
   if (artifact.resumed()) Resume(artifact.dir(), settings.dump(), start_anew, trainer);
   const HeldOutViews held_out(scene, pack, BackgroundLevel(scene, preset.train.unknown_background));
-  TrainToTheEnd(*trainer, held_out, settings.dump(), artifact);
+  TrainToTheEnd(*trainer, held_out, settings.dump(), request.check, artifact);
 
   const TrainState& state = trainer->state();
   SaveModel(artifact.dir(), state, trainer->EvaluationOptions());

@@ -189,8 +189,7 @@ std::string AblationMarkdown(const Json& result) {
   std::string text = fmt::format(
       "# What each part is worth: {0}\n\nnrff {1}, {2}, {3}. Command: `nrff benchmark ablation WORKSPACE --steps {5} "
       "--seeds {6}`. Preset {4}, {8} × {9} px, {5} steps each{7}; figures are means over all held-out views, renders "
-      "of 16 bits; "
-      "seconds are of training alone. Bold: the model as it is.\n",
+      "of 16 bits; seconds are of training alone. Bold: the model as it is.\n",
       CellText(result.at("name")), CellText(result.at("version")), CellText(At(result.at("host"), "cpu")),
       CellText(result.at("date")), CellText(result.at("preset")), result.at("steps").get<int64_t>(), n_seeds,
       n_seeds > 1 ? fmt::format(", {} seeds (in brackets the least and the most)", n_seeds) : "",

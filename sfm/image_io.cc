@@ -20,7 +20,6 @@ namespace {
 // A header can claim any size; what no camera makes is refused before memory is taken.
 constexpr int64_t kMaxPixels = int64_t{1} << 29;
 
-
 // The file is handed to OpenImageIO as /proc/self/fd/N: its own handling of names gives '?' and '#' a meaning.
 class OpenFile {
  public:

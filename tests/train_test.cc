@@ -391,6 +391,18 @@ TEST_F(TrainStage, SaysWhatItMetWhenGoingBackDoesNotHelp) {
   EXPECT_FALSE(std::filesystem::exists(request.out));
 }
 
+TEST_F(TrainStage, CheckEndsAtTheFirstNumberThatIsNotFinite) {
+  request.settings = "train.network_rate=1e20 train.grid_rate=1e20";
+  request.check = true;
+  try {
+    RunTraining(request, {});
+    FAIL() << "ended";
+  } catch (const Error& error) {
+    EXPECT_THAT(error.what(), HasSubstr("colours that are no numbers in held-out views by step 1; "));
+  }
+  EXPECT_EQ(ReadJson(request.out.string() + ".partial/diverged.json").at("rollbacks"), 0);
+}
+
 // Fewer steps than are left out before training goes back: what the held-out views show tells.
 TEST_F(TrainStage, AShortTrainingThatExplodesIsNoModelEither) {
   request.settings = "train.network_rate=1e20 train.grid_rate=1e20";

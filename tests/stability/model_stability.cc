@@ -268,12 +268,13 @@ TEST(Adam, GradientsOutsideTheRangeOfSquares) {
   const auto n = int64_t(gradient.size());
   std::vector<float> parameters(n, 0), m(n, 0), v(n, 0);
   AdamStep(options, 1, n, gradient.data(), parameters.data(), m.data(), v.data());
-  double most = 0;
+  double beyond = 0;
   for (const float parameter : parameters) {
-    most = std::isfinite(parameter) ? std::max(most, std::abs(double(parameter))) : HUGE_VAL;
+    if (!std::isfinite(parameter)) beyond = HUGE_VAL;
+    beyond = std::max(beyond, std::abs(double(parameter)) - options.learning_rate);
   }
-  Hold("Adam", "first step", "float, gradients of 1e-45 to 3e38", most,
-       options.learning_rate * (1 + 16 * kUnit<float>));
+  Hold("Adam", "first step's length beyond the rate", "float, gradients of 1e-45 to 3e38", beyond,
+       16 * kUnit<float> * options.learning_rate);
 }
 
 }  // namespace
