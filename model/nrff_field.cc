@@ -256,7 +256,7 @@ class TileShader : public RadianceField::Shader {
   TileShader(const NrffField& field, GemmPrecision precision)
       : field_(field), networks_(field.Networks()), tile_(networks_, /*backward=*/false, precision) {
     tile_.Reserve(kMostAtOnce);
-    packed_.Pack(networks_, /*backward=*/false);
+    packed_.Pack(networks_, /*backward=*/false, precision);
   }
 
   void SetSamples(const float* points, const float* weights, int64_t n) override {

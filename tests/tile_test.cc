@@ -9,7 +9,7 @@
 
 #include "model/kernels/fast_math.h"
 #include "model/kernels/tile_gemm.h"
-#include "model/kernels/tile_gemm_amx.h"
+#include "model/kernels/tile_gemm_bf16.h"
 #include "model/kernels/tile_rows.h"
 #include "tests/uniforms.h"
 
@@ -62,8 +62,8 @@ TEST(TileGemm, IsTheProductWhateverTheSizes) {
               }
               if (j >= n) expected = c[i * (n + 3) + j];
               // k products, each rounded once, of numbers below 1; operands split in two bf16, or rounded to one, where
-              // AMX does it.
-              const double split = !AmxAvailable()                      ? 0
+              // the processor multiplies those.
+              const double split = !Bf16Pays(args)                      ? 0
                                    : precision == GemmPrecision::kFloat ? 3 * std::ldexp(magnitude, -18)
                                                                         : 2.01 * std::ldexp(magnitude, -9);
               ASSERT_NEAR(cf[i * (n + 3) + j], expected, 6e-8 * double(k + 2) * 2 + split) << m << " " << n << " " << k;

@@ -40,8 +40,8 @@ struct ShadingNetworks {
 class PackedNetworks {
  public:
   // Points networks' layers to what it packs, which is theirs as long as the weights keep their values and this lives.
-  // `backward`: also for Backward.
-  void Pack(ShadingNetworks& networks, bool backward);
+  // `backward`: also for Backward. `precision`: of Forward's products.
+  void Pack(ShadingNetworks& networks, bool backward, GemmPrecision precision = GemmPrecision::kFloat);
 
  private:
   std::vector<PackedOperand> weights_;

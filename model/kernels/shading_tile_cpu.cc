@@ -172,16 +172,22 @@ auto LayersOf(Networks& networks) {
 
 }  // namespace
 
-void PackedNetworks::Pack(ShadingNetworks& networks, bool backward) {
+void PackedNetworks::Pack(ShadingNetworks& networks, bool backward, GemmPrecision precision) {
   const auto layers = LayersOf(networks);
   weights_.resize(2 * layers.size());
   for (size_t l = 0; l < layers.size(); ++l) {
     LinearLayer& layer = *layers[l];
-    weights_[2 * l].Pack(layer.n_out, layer.n_in, layer.weight, layer.n_in, 1);
+    weights_[2 * l].Pack({.m = layer.n_out,
+                          .k = layer.n_in,
+                          .a = layer.weight,
+                          .a_row = layer.n_in,
+                          .a_column = 1,
+                          .precision = precision});
     layer.packed = &weights_[2 * l];
     layer.packed_transposed = nullptr;
     if (!backward) continue;
-    weights_[2 * l + 1].Pack(layer.n_in, layer.n_out, layer.weight, 1, layer.n_in);
+    weights_[2 * l + 1].Pack(
+        {.m = layer.n_in, .k = layer.n_out, .a = layer.weight, .a_row = 1, .a_column = layer.n_in});
     layer.packed_transposed = &weights_[2 * l + 1];
   }
 }
@@ -390,7 +396,8 @@ void ShadingTile::Backward(const ShadingNetworks& networks, int64_t n_samples, c
   const std::span<const ShadingGradients::Layer> layers(gradients.layers());
   const size_t n_spatial = networks.spatial.size(), n_directional = networks.directional.size();
   if (networks.encoding == DirectionalEncoding::kNone) {
-    for (int c = 0; c < 3; ++c) DiffuseColourBackward(Row(rgb_ + c), Row(d_rgb_ + c), n, Row(d_spatial_out_ + kDiffuse + c));
+    for (int c = 0; c < 3; ++c)
+      DiffuseColourBackward(Row(rgb_ + c), Row(d_rgb_ + c), n, Row(d_spatial_out_ + kDiffuse + c));
   } else {
     for (int c = 0; c < 3; ++c) {
       ColourBackward(Row(spatial_out_ + kTint + c), Row(specular_ + c), Row(rgb_ + c), Row(d_rgb_ + c), n,

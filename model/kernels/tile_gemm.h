@@ -14,8 +14,8 @@ inline constexpr int64_t kGemmColumns = 16;
 
 enum class GemmStart { kZero, kBias, kSum };
 
-// kBf16: where the processor has a matrix unit, A and B may be rounded to bf16 (8 bits, |error| ≤ 2⁻⁹ |x|) and their
-// products summed in float, in a third of the time; elsewhere the same as kFloat.
+// kBf16: where the processor multiplies bf16 (8 bits, |error| ≤ 2⁻⁹ |x|), A and B may be rounded to it and their
+// products summed in float, in a third to half of the time; elsewhere the same as kFloat.
 enum class GemmPrecision { kFloat, kBf16 };
 
 // 32-bit words that grow and start at a cache line; what was in them is lost.
@@ -32,17 +32,7 @@ class AlignedWords {
   int64_t n_ = 0;
 };
 
-// A of many products, made ready for them once. Empty where that saves nothing.
-class PackedOperand {
- public:
-  // As GemmArgs.
-  void Pack(int64_t m, int64_t k, const float* a, int64_t a_row, int64_t a_column);
-  const uint32_t* words() const { return packed_ ? words_.data() : nullptr; }
-
- private:
-  AlignedWords words_;
-  bool packed_ = false;
-};
+class PackedOperand;
 
 // C[i][j] = start + Σ_k A(i, k) B[k][j], for i < m, j < n.
 // start: 0, bias[i], or C[i][j] as it was. n is a multiple of kGemmColumns. With an activation C is that of the sum.
@@ -64,8 +54,20 @@ struct GemmArgs {
 };
 void TileGemm(const GemmArgs& args);
 
-// The same with B(k, j) = b[j · b_row + k], in float, without an activation or a factor. scratch: the product's use, [k rounded up
-// to 4][scratch_row], with scratch_row ≥ n.
+// A of many products, made ready for them once. Empty where that saves nothing.
+class PackedOperand {
+ public:
+  // What is read of the products: m, k, a, a_row, a_column, precision.
+  void Pack(const GemmArgs& args);
+  const uint32_t* words() const { return packed_ ? words_.data() : nullptr; }
+
+ private:
+  AlignedWords words_;
+  bool packed_ = false;
+};
+
+// The same with B(k, j) = b[j · b_row + k], in float, without an activation or a factor. scratch: the product's use, [k
+// rounded up to 4][scratch_row], with scratch_row ≥ n.
 struct GemmScratch {
   float* values = nullptr;
   int64_t row = 0;

@@ -4,7 +4,7 @@
 
 #include "model/kernels/simd.h"
 #include "model/kernels/tile_gemm.h"
-#include "model/kernels/tile_gemm_amx.h"
+#include "model/kernels/tile_gemm_bf16.h"
 
 namespace nrff {
 namespace {
@@ -110,16 +110,15 @@ uint32_t* AlignedWords::Reserve(int64_t n) {
 
 void AlignedWords::Free::operator()(uint32_t* words) const { ::operator delete (words, std::align_val_t{64}); }
 
-void PackedOperand::Pack(int64_t m, int64_t k, const float* a, int64_t a_row, int64_t a_column) {
-  const GemmArgs args{.m = m, .k = k, .a = a, .a_row = a_row, .a_column = a_column};
-  packed_ = AmxCanPack(args);
-  if (packed_) AmxPack(args, words_);
+void PackedOperand::Pack(const GemmArgs& args) {
+  packed_ = Bf16CanPack(args);
+  if (packed_) Bf16Pack(args, words_);
 }
 
 void TileGemm(const GemmArgs& args) {
   if (args.m == 0 || args.n == 0) return;
-  if (AmxAvailable() && AmxPays(args)) {
-    TileGemmAmx(args, /*b_transposed=*/false);
+  if (Bf16Pays(args)) {
+    TileGemmBf16(args, /*b_transposed=*/false);
     return;
   }
 #ifdef NRFF_CPU_LEVELS
@@ -140,8 +139,8 @@ void TileGemm(const GemmArgs& args) {
 }
 
 void TileGemmTransposed(const GemmArgs& args, const GemmScratch& scratch) {
-  if (AmxAvailable() && AmxPays(args)) {
-    TileGemmAmx(args, /*b_transposed=*/true);
+  if (Bf16Pays(args)) {
+    TileGemmBf16(args, /*b_transposed=*/true);
     return;
   }
   TileTranspose(args.b, args.b_row, args.n, args.k, scratch.values, scratch.row);
