@@ -20,6 +20,7 @@ namespace nrff {
 namespace {
 
 constexpr double kSyntheticHalfExtent = 1.5;  // of the box that the NeRF-synthetic objects lie in, world units
+constexpr double kSyntheticFarthest = 8;      // median camera from the origin, of copies of that data set, world units
 
 // OpenGL camera axes ↔ OpenCV's: y and z change sign.
 Eigen::Matrix4d FlipCameraAxes(Eigen::Matrix4d world_from_camera) {
@@ -272,6 +273,15 @@ void AddFrames(const std::filesystem::path& file, std::optional<Split> split, So
   }
 }
 
+// Whether the cameras stand about the data set's box as its own do: a copy in other units, or moved, is not in it.
+bool StandAboutSyntheticBox(const ColmapModel& model) {
+  std::vector<double> distances;
+  for (const auto& [id, image] : model.images) distances.push_back(image.Center().cwiseAbs().maxCoeff());
+  const auto middle = distances.begin() + static_cast<std::ptrdiff_t>(distances.size() / 2);
+  std::nth_element(distances.begin(), middle, distances.end());
+  return *middle > kSyntheticHalfExtent && *middle < kSyntheticFarthest;
+}
+
 Json ToRows(const Eigen::Matrix4d& matrix, int n_rows) {
   Json rows = Json::array();
   for (int i = 0; i < n_rows; ++i) rows.push_back({matrix(i, 0), matrix(i, 1), matrix(i, 2), matrix(i, 3)});
@@ -347,6 +357,7 @@ std::optional<Source> ReadTransformsSource(const std::filesystem::path& root) {
         " frames of the transforms file has a photo that can be read (the first: " + source.rejected.front().name +
         " " + source.rejected.front().reason + "); put the photos where file_path says");
   }
+  if (source.box && !StandAboutSyntheticBox(*source.model)) source.box.reset();
   return source;
 }
 

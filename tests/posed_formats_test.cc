@@ -3,6 +3,7 @@
 
 #include <functional>
 #include <set>
+#include <tuple>
 
 #include "sfm/transforms_json.h"
 #include "tests/ingest_fixture.h"
@@ -38,6 +39,23 @@ TEST_F(IngestTest, NerfSyntheticIsReadWithItsOwnSplitAndBox) {
   EXPECT_EQ(camera.params[2], 24);
   EXPECT_EQ(camera.params[3], 16);
   EXPECT_FALSE(manifest_.decisions[0].needed);
+}
+
+// Its loader's box is in that data set's units.
+TEST_F(IngestTest, NerfSyntheticInOtherUnitsHasNoBox) {
+  WritePhotos(3, "r_", {.channels = 4});
+  for (const auto& [scale, shift, has_box] :
+       {std::tuple{1., 0., true}, {1e-4, 0., false}, {1e4, 0., false}, {1., 1e6, false}}) {
+    Json frames = RingFrames(3, "r_");
+    for (Json& frame : frames) {
+      for (int row = 0; row < 3; ++row) {
+        Json& x = frame["transform_matrix"][row][3];
+        x = scale * x.get<double>() + shift;
+      }
+    }
+    Write("transforms.json", Json{{"camera_angle_x", 0.7}, {"frames", frames}}.dump());
+    EXPECT_EQ(RunIngest().box.has_value(), has_box) << scale << " " << shift;
+  }
 }
 
 TEST_F(IngestTest, OpenGlPosesBecomeOpenCvs) {
