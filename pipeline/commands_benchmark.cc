@@ -10,11 +10,13 @@
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "pipeline/plan.h"
+#include "pipeline/report.h"
 #include "pipeline/run.h"
 #include "pipeline/stability.h"
 #include "pipeline/stage.h"
 #include "pipeline/stages.h"
 #include "pipeline/work_precision.h"
+#include "pipeline/workspace.h"
 
 namespace nrff {
 namespace {
@@ -168,34 +170,40 @@ Command AddAblation(CLI::App& command) {
 }
 
 struct StabilityOptions {
-  std::string out = "work/stability";
+  std::string workspace, out = "work/stability";
   OutputOptions output;
 };
 
 void Stability(const StabilityOptions& options) {
-  const Json result = MeasureStability(ExecutableFolder().parent_path() / "tests", options.out);
+  const bool of_workspace = !options.workspace.empty();
+  if (of_workspace) Workspace(options.workspace).ReadMarker();
+  const fs::path out = of_workspace ? fs::path(options.workspace) / kStabilityFolder : fs::path(options.out);
+  const Json result = MeasureStability(ExecutableFolder().parent_path() / "tests", out);
+  if (of_workspace) WriteReport(options.workspace);
   if (options.output.json) {
     PrintJson(result);
   } else if (!options.output.quiet) {
-    std::cout << StabilityMarkdown(result) << "\nthe table: " << EscapePath(fs::path(options.out) / "stability.html")
-              << ", .md, .json\n";
+    std::cout << StabilityMarkdown(result) << "\nthe table: " << EscapePath(out / "stability.html") << ", .md, .json\n";
   }
   if (const int n = result.at("n_exceeded").get<int>(); n > 0) {
     throw ExternalToolError(std::to_string(n) + " stability cases are beyond their bounds on this machine; see " +
-                            EscapePath(fs::path(options.out) / "stability.md"));
+                            EscapePath(out / "stability.md"));
   }
 }
 
 Command AddStability(CLI::App& command) {
   auto options = std::make_shared<StabilityOptions>();
   CLI::App* kind = command.add_subcommand("stability", "Accuracy on stiff and extreme cases");
-  kind->add_option("--out", options->out, "Where the table goes (default: work/stability)")->type_name("DIR");
+  CLI::Option* workspace = kind->add_option("WORKSPACE", options->workspace, "Its report shows the table");
+  kind->add_option("--out", options->out, "Where the table goes (default: work/stability)")
+      ->type_name("DIR")
+      ->excludes(workspace);
   AddVerbosityOptions(*kind, options->output);
   AddJsonOption(*kind, options->output);
   kind->footer(
       "Runs the tests in tests/stability and shows every case's error beside the bound\n"
       "that follows from the number format.\n"
-      "Example: nrff benchmark stability");
+      "Example: nrff benchmark stability work/castle");
   return {kind, [options] { Stability(*options); }};
 }
 

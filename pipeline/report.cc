@@ -9,6 +9,7 @@
 #include "pipeline/report_content.h"
 #include "pipeline/report_page.h"
 #include "pipeline/report_summary.h"
+#include "pipeline/stability.h"
 
 namespace nrff {
 namespace {
@@ -63,8 +64,13 @@ void WriteReport(const fs::path& workspace) {
   Json summary = Summarise(state);
   const Json pictures = PartOrWarning(summary, [&] { return Pictures(state, summary["images"]); });
   const Json geometry = PartOrWarning(summary, [&] { return Geometry(state); });
+  const Json stability = PartOrWarning(summary, [&] { return ReadStability(state.root / kStabilityFolder); });
   WriteJson(artifact.dir() / "summary.json", summary);
-  const Json page = {{"summary", summary}, {"facts", Facts(state)}, {"pictures", pictures}, {"geometry", geometry}};
+  const Json page = {{"summary", summary},
+                     {"facts", Facts(state)},
+                     {"pictures", pictures},
+                     {"geometry", geometry},
+                     {"stability", stability}};
   WriteFileAtomically(artifact.dir() / "report.html", FillPage("report.html", state.name, page));
   artifact.AddOutput("summary.json");
   artifact.AddOutput("report.html");

@@ -22,7 +22,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr int kStabilitySchemaVersion = 1;
-constexpr char kPrograms[] = "stability_";
+constexpr char kPrograms[] = "stability_", kFile[] = "stability.json";
 
 std::vector<fs::path> Programs(const fs::path& tests) {
   std::vector<fs::path> programs;
@@ -91,9 +91,22 @@ Json MeasureStability(const fs::path& tests, const fs::path& folder) {
                  {"host", ThisHost()},
                  {"version", Version()},
                  {"date", fmt::format("{:%Y-%m-%d}", fmt::gmtime(std::time(nullptr)))}};
-  WriteJson(folder / "stability.json", result);
+  WriteJson(folder / kFile, result);
   WriteFileAtomically(folder / "stability.md", StabilityMarkdown(result));
   WriteFileAtomically(folder / "stability.html", FillPage("stability.html", "Numerical stability", result));
+  return result;
+}
+
+Json ReadStability(const fs::path& folder) {
+  const fs::path file = folder / kFile;
+  if (!fs::exists(file)) return nullptr;
+  Json result = ReadJson(file);
+  const bool whole = result.is_object() && result.value("schema_version", 0) == kStabilitySchemaVersion &&
+                     result.contains("cases") && result.at("cases").is_array() && result.contains("n_exceeded");
+  if (!whole) {
+    throw CorruptError(EscapePath(file) +
+                       " is not what `nrff benchmark stability` of this version writes; run it again.");
+  }
   return result;
 }
 

@@ -18,6 +18,12 @@ namespace nrff {
 // no such programs, ExternalToolError where one ends otherwise than tests do.
 Json MeasureStability(const std::filesystem::path& tests, const std::filesystem::path& folder);
 
+// What was measured into `folder`; null where nothing was. Throws CorruptError where its file is damaged.
+Json ReadStability(const std::filesystem::path& folder);
+
+// Of a workspace: what its report shows.
+inline constexpr char kStabilityFolder[] = "stability";
+
 std::string StabilityMarkdown(const Json& result);
 
 }  // namespace nrff

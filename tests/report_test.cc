@@ -336,6 +336,22 @@ TEST_F(ReportTest, DamagedFilesAreShownNotThrown) {
   EXPECT_EQ(summary["failure"]["stage"], "train");
 }
 
+TEST_F(ReportTest, StabilityIsShownWhereItWasMeasured) {
+  MakeAll();
+  WriteReport(root_);
+  EXPECT_TRUE(PageData(root_ / "report" / "report.html")["stability"].is_null());
+  fs::create_directories(root_ / "stability");
+  const Json table = {{"schema_version", 1}, {"n_exceeded", 0}, {"cases", {{{"part", "compositing"}}}}};
+  WriteJson(root_ / "stability" / "stability.json", table);
+  WriteReport(root_);
+  EXPECT_EQ(PageData(root_ / "report" / "report.html")["stability"], table);
+  for (const char* damaged : {"{", "[]", "{\"schema_version\": 1, \"cases\": 3, \"n_exceeded\": 0}"}) {
+    WriteFileAtomically(root_ / "stability" / "stability.json", damaged);
+    EXPECT_TRUE(WarningKinds(WriteAndReadSummary()).contains("damaged files")) << damaged;
+    EXPECT_TRUE(PageData(root_ / "report" / "report.html")["stability"].is_null());
+  }
+}
+
 TEST_F(ReportTest, JointReportHasARowForEveryCaptureAlsoForOneThatFailed) {
   MakeAll();
   WriteReport(root_);
@@ -398,7 +414,10 @@ fs::path Browser() {
 TEST_F(ReportTest, PagesRunInABrowserWithoutAWord) {
   const fs::path browser = Browser();
   if (browser.empty()) GTEST_SKIP() << "no chromium on PATH";
+  const fs::path results = fs::path(NRFF_SOURCE_DIR) / "tests/bench/results";
   MakeAll();
+  fs::create_directories(root_ / "stability");
+  fs::copy_file(results / "stability.json", root_ / "stability" / "stability.json");
   WriteReport(root_);
   const fs::path first = root_;
   root_ = folder_ / "again";
@@ -407,10 +426,10 @@ TEST_F(ReportTest, PagesRunInABrowserWithoutAWord) {
   WriteJointReport(folder_, {first, root_});
   std::map<fs::path, std::string> pages = {{first / "report" / "report.html", kAwkwardName},
                                            {folder_ / "report" / "report.html", "side by side"}};
-  const fs::path results = fs::path(NRFF_SOURCE_DIR) / "tests/bench/results";
   for (const auto& [json, page] : {std::pair("ablation_lego_nsvf_400", "ablation.html"),
                                    {"work_precision_fox", "work_precision.html"},
-                                   {"benchmark_tanks-and-temples", "benchmark.html"}}) {
+                                   {"benchmark_tanks-and-temples", "benchmark.html"},
+                                   {"stability", "stability.html"}}) {
     const fs::path file = folder_ / page;
     WriteFileAtomically(file, FillPage(page, json, ReadJson(results / (std::string(json) + ".json"))));
     pages[file] = "Intel";

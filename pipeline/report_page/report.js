@@ -1,5 +1,5 @@
 // The page: sections in order, each left out when there is nothing to show in it.
-const {summary, facts, pictures, geometry} = DATA;
+const {summary, facts, pictures, geometry, stability} = DATA;
 const main = document.querySelector("main");
 
 function addSection(id, title, hint, ...children) {
@@ -155,6 +155,14 @@ function showDecisions() {
     makeTable(columns, summary.decisions, {stack: true, sortable: false}).element);
 }
 
+function showStability() {
+  if (!stability) return;
+  const details = el("details", {className: "more"}, el("summary", {}, stabilityLead(stability)),
+    el("p", {className: "hint"}, STABILITY_HINT), makeStabilityTable(stability));
+  details.open = stability.n_exceeded > 0;
+  addSection("stability", "Numerical stability", "Errors of this program's numerics on stiff and extreme cases, measured on this machine.", details);
+}
+
 function showDetails() {
   const more = (title, content) => el("details", {className: "more"}, el("summary", {}, title), content);
   const children = [];
@@ -180,5 +188,6 @@ showTraining();
 showSpace(viewer);
 showStages();
 showDecisions();
+showStability();
 showDetails();
 byId("footer").textContent = `nrff ${summary.versions.nrff}. The same figures for programs: summary.json.`;
