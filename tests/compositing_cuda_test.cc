@@ -1,46 +1,18 @@
 // The CUDA twins of the compositing kernels give what the CPU ones give, also where light is all or nothing. Skipped,
 // visibly, where there is no GPU.
-#include <cuda_runtime.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <random>
-#include <stdexcept>
 #include <vector>
 
 #include "render/kernels/compositing.h"
+#include "tests/device_array.h"
 
 namespace nrff {
 namespace {
-
-void Check(cudaError_t error) {
-  if (error != cudaSuccess) throw std::runtime_error(cudaGetErrorString(error));
-}
-
-// An array on the device, made from one on the host.
-template <typename T>
-class Device {
- public:
-  explicit Device(const std::vector<T>& host) : n_(host.size()) {
-    Check(cudaMalloc(reinterpret_cast<void**>(&data_), std::max<size_t>(1, n_) * sizeof(T)));
-    Check(cudaMemcpy(data_, host.data(), n_ * sizeof(T), cudaMemcpyHostToDevice));
-  }
-  ~Device() { cudaFree(data_); }
-  Device(const Device&) = delete;
-  Device& operator=(const Device&) = delete;
-  T* get() const { return data_; }
-  std::vector<T> Host() const {
-    std::vector<T> host(n_);
-    Check(cudaMemcpy(host.data(), data_, n_ * sizeof(T), cudaMemcpyDeviceToHost));
-    return host;
-  }
-
- private:
-  size_t n_;
-  T* data_ = nullptr;
-};
 
 // `scale`: of what the value is a sum of, by index; the error is relative to it.
 template <typename Scalar, typename Scale>
@@ -58,8 +30,7 @@ TYPED_TEST_SUITE(CompositingCuda, Scalars);
 
 TYPED_TEST(CompositingCuda, IsItsCpuTwin) {
   using Scalar = TypeParam;
-  int n_gpus = 0;
-  if (cudaGetDeviceCount(&n_gpus) != cudaSuccess || n_gpus == 0) GTEST_SKIP() << "no GPU";
+  if (!HasGpu()) GTEST_SKIP() << "no GPU";
   constexpr int64_t kRays = 1000, kChannels = 3;
   std::mt19937 random(3);
   std::uniform_real_distribution<double> uniform(-1, 1);
@@ -78,16 +49,16 @@ TYPED_TEST(CompositingCuda, IsItsCpuTwin) {
   const auto d_transmittance = draw(kRays, [&] { return uniform(random); });
   const auto d_out = draw(kRays * kChannels, [&] { return uniform(random); });
 
-  const Device<int64_t> d_offsets(offsets);
-  const Device<Scalar> g_sigma(sigma), g_delta(delta), g_values(values), g_d_weights(d_weights),
+  const DeviceArray<int64_t> d_offsets(offsets);
+  const DeviceArray<Scalar> g_sigma(sigma), g_delta(delta), g_values(values), g_d_weights(d_weights),
       g_d_transmittance(d_transmittance), g_d_out(d_out);
   for (const Scalar stop : {Scalar(0), Scalar(1e-4)}) {
     std::vector<Scalar> weights(n), transmittance(kRays), d_sigma(n), out(kRays * kChannels), d_w(n),
         d_v(n * kChannels);
     std::vector<int64_t> n_reached(kRays);
-    const Device<Scalar> g_weights(weights), g_transmittance(transmittance), g_d_sigma(d_sigma), g_out(out), g_d_w(d_w),
-        g_d_v(d_v);
-    const Device<int64_t> g_n_reached(n_reached);
+    const DeviceArray<Scalar> g_weights(weights), g_transmittance(transmittance), g_d_sigma(d_sigma), g_out(out),
+        g_d_w(d_w), g_d_v(d_v);
+    const DeviceArray<int64_t> g_n_reached(n_reached);
     WeightsForwardCpu(WeightsArgs<Scalar>{kRays, offsets.data(), sigma.data(), delta.data(), stop, weights.data(),
                                           transmittance.data(), n_reached.data()});
     WeightsForwardCuda(WeightsArgs<Scalar>{kRays, d_offsets.get(), g_sigma.get(), g_delta.get(), stop, g_weights.get(),
@@ -110,7 +81,7 @@ TYPED_TEST(CompositingCuda, IsItsCpuTwin) {
     AccumulateBackwardCuda(AccumulateBackwardArgs<Scalar>{kRays, kChannels, d_offsets.get(), g_weights.get(),
                                                           g_values.get(), g_d_out.get(), g_d_w.get(), g_d_v.get()},
                            nullptr);
-    Check(cudaDeviceSynchronize());
+    CheckCuda(cudaDeviceSynchronize());
     EXPECT_EQ(g_n_reached.Host(), n_reached);
     const auto one = [](size_t) { return 1.; };
     const double least = std::numeric_limits<Scalar>::min();

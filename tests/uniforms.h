@@ -15,4 +15,9 @@ inline std::vector<double> Uniforms(size_t n, double low, double high, uint64_t 
   return values;
 }
 
+template <typename To, typename From>
+std::vector<To> Converted(const std::vector<From>& values) {
+  return {values.begin(), values.end()};
+}
+
 }  // namespace nrff

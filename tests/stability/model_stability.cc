@@ -1,5 +1,5 @@
-// The model's kernels in float against themselves in double on the same numbers, at the edges of their domains, and
-// against laws that need no second computation.
+// Encoding, networks and Adam in float against themselves in double on the same numbers, at the edges of their domains,
+// and against laws that need no second computation.
 
 #include <gtest/gtest.h>
 
@@ -12,127 +12,14 @@
 #include <vector>
 
 #include "model/kernels/adam.h"
-#include "model/kernels/feature_grid.h"
 #include "model/kernels/ree.h"
 #include "model/kernels/tile_gemm.h"
-#include "model/kernels/tile_gemm_amx.h"
+#include "model/kernels/tile_gemm_bf16.h"
 #include "tests/stability/table.h"
 #include "tests/uniforms.h"
 
 namespace nrff::stability {
 namespace {
-
-constexpr float kInfinity = std::numeric_limits<float>::infinity();
-
-template <typename To, typename From>
-std::vector<To> Converted(const std::vector<From>& values) {
-  return {values.begin(), values.end()};
-}
-
-template <typename Scalar>
-std::vector<Scalar> Concat(const GridLayout& layout, const std::vector<Scalar>& parameters,
-                           const std::vector<Scalar>& points) {
-  std::vector<Scalar> features(points.size() / 3 * layout.n_features());
-  GridConcatForward(layout, parameters.data(), points.data(), int64_t(points.size() / 3), features.data());
-  return features;
-}
-
-TEST(Grid, BeyondTheEndsIsTheEnd) {
-  const GridLayout layout = MakeGridLayout(4, 5, 512, 4);
-  const auto parameters = Converted<float>(Uniforms(layout.n_parameters, -1, 1, 1));
-  double most = 0;
-  for (int axis = 0; axis < 3; ++axis) {
-    for (const float end : {-1.F, 1.F}) {
-      const float ulp = std::nextafter(end, 2 * end);
-      for (const float beyond : {ulp, 2 * end, 1e30F * end, kInfinity * end, std::nanf("")}) {
-        std::vector<float> at = {0.3F, -0.2F, 0.7F}, outside = at;
-        at[axis] = std::isnan(beyond) ? -1.F : end;
-        outside[axis] = beyond;
-        const auto expected = Concat(layout, parameters, at), actual = Concat(layout, parameters, outside);
-        for (size_t i = 0; i < expected.size(); ++i) most = std::max(most, std::abs(double(expected[i]) - actual[i]));
-      }
-    }
-  }
-  Hold("grid", "value beyond an end", "an ulp to infinity, NaN as −1", most, 0);
-}
-
-// A coordinate's place among n nodes is off by 2u(n − 1); planes and lines, all below 1, change by 2 at most from node
-// to node; a plane has two coordinates, a line one. 16 roundings of interpolation besides.
-TEST(Grid, FloatIsDoubleToTheirPlacesRounding) {
-  const GridLayout layout = MakeGridLayout(6, 4, 1024, 4);
-  const auto parameters = Converted<float>(Uniforms(layout.n_parameters, -1, 1, 2));
-  auto points = Converted<float>(Uniforms(3 * 3000, -1, 1, 3));
-  for (int i = 0; i < 60; ++i) points[i] = i % 2 == 0 ? std::nextafter(1.F, 0.F) : std::nextafter(-1.F, 0.F);
-  const auto n = int64_t(points.size() / 3);
-  const auto features = Concat(layout, parameters, points);
-  const auto exact = Concat(layout, Converted<double>(parameters), Converted<double>(points));
-  Worst worst;
-  for (int row = 0; row < layout.n_products(); ++row) {
-    const int level = row / 3;
-    const double last = layout.levels[level].resolution - 1;
-    for (int64_t i = row * n * 4; i < (row + 1) * n * 4; ++i) {
-      worst.Add(std::abs(features[i] - exact[i]), (12 * last + 16) * kUnit<float>);
-    }
-  }
-  worst.Hold("grid", "features", "float against double, 4 to 1024 nodes");
-}
-
-// How many points are beside each node of a plane or line, in the order of the parameters' nodes.
-std::vector<int> PointsBeside(const GridLayout& layout, const std::vector<float>& points) {
-  std::vector<int> beside(layout.n_parameters / layout.n_channels, 0);
-  for (size_t i = 0; i < points.size(); i += 3) {
-    for (const GridLayout::Level& level : layout.levels) {
-      int cell[3];
-      for (int k = 0; k < 3; ++k) {
-        const double node = (std::clamp(double(points[i + k]), -1., 1.) + 1) / 2 * (level.resolution - 1);
-        cell[k] = std::min(int(node), level.resolution - 2);
-      }
-      for (int p = 0; p < 3; ++p) {
-        const GridProduct& product = kGridProducts[p];
-        for (int a = 0; a < 2; ++a) {
-          ++beside[level.line_offsets[p] / layout.n_channels + cell[product.line_axis] + a];
-          for (int b = 0; b < 2; ++b) {
-            ++beside[level.plane_offsets[p] / layout.n_channels + (cell[product.row_axis] + a) * level.resolution +
-                     cell[product.column_axis] + b];
-          }
-        }
-      }
-    }
-  }
-  return beside;
-}
-
-// A node's gradient is a sum over the points beside it; every term is off by its point's place (12u(n − 1), as above)
-// and by interpolation's roundings, and the sum by one rounding a term. Σ |term| is the gradient for absolute values.
-TEST(Grid, GradientsInFloatAreThoseInDouble) {
-  const GridLayout layout = MakeGridLayout(3, 4, 64, 4);
-  const auto parameters = Converted<float>(Uniforms(layout.n_parameters, -1, 1, 4));
-  const auto points = Converted<float>(Uniforms(3 * 5000, -1.1, 1.1, 5));
-  const auto n = int64_t(points.size() / 3);
-  const auto d_features = Converted<float>(Uniforms(layout.n_features() * n, -1, 1, 6));
-  const auto exact_points = Converted<double>(points);
-  std::vector<double> size_parameters = Converted<double>(parameters), size_d = Converted<double>(d_features);
-  const auto exact_parameters = size_parameters, exact_d = size_d;
-  for (double& value : size_parameters) value = 1;  // |p| ≤ 1
-  for (double& value : size_d) value = std::abs(value);
-  std::vector<float> gradient(layout.n_parameters, 0);
-  std::vector<double> exact(layout.n_parameters, 0), size(layout.n_parameters, 0);
-  for (int p = 0; p < layout.n_products(); ++p) {
-    const int64_t at = p * n * 4;
-    GridConcatBackward(layout, p, parameters.data(), points.data(), n, d_features.data() + at, gradient.data());
-    GridConcatBackward(layout, p, exact_parameters.data(), exact_points.data(), n, exact_d.data() + at, exact.data());
-    GridConcatBackward(layout, p, size_parameters.data(), exact_points.data(), n, size_d.data() + at, size.data());
-  }
-  const std::vector<int> beside = PointsBeside(layout, points);
-  Worst worst;
-  for (int64_t i = 0; i < layout.n_parameters; ++i) {
-    size_t level = 0;
-    while (level + 1 < layout.levels.size() && layout.levels[level + 1].plane_offsets[0] <= i) ++level;
-    const double last = layout.levels[level].resolution - 1, n_terms = beside[i / layout.n_channels];
-    worst.Add(std::abs(gradient[i] - exact[i]), kUnit<float> * (12 * last * n_terms + (n_terms + 32) * size[i]));
-  }
-  worst.Hold("grid", "gradients of planes and lines", "float against double, 5,000 points");
-}
 
 // With λ and μ themselves given, the exponent λs² is off through s, by 6u λ|s| and 4u λs². |s| e^(−λs²) √λ ≤ 0.43.
 TEST(Ree, FloatIsDoubleForAnyLobe) {
@@ -208,17 +95,18 @@ TEST(Mlp, ProductsOfALayerInBf16AndSplitBf16) {
         const auto a = Converted<float>(Uniforms(kM * k, -scale, scale, 9)),
                    b = Converted<float>(Uniforms(k * kN, -1, 1, 10));
         std::vector<float> c(kM * kN);
-        TileGemm({.m = kM,
-                  .n = kN,
-                  .k = k,
-                  .a = a.data(),
-                  .a_row = k,
-                  .a_column = 1,
-                  .b = b.data(),
-                  .b_row = kN,
-                  .c = c.data(),
-                  .c_row = kN,
-                  .precision = precision});
+        const GemmArgs args{.m = kM,
+                            .n = kN,
+                            .k = k,
+                            .a = a.data(),
+                            .a_row = k,
+                            .a_column = 1,
+                            .b = b.data(),
+                            .b_row = kN,
+                            .c = c.data(),
+                            .c_row = kN,
+                            .precision = precision};
+        TileGemm(args);
         for (int64_t i = 0; i < kM; ++i) {
           for (int64_t j = 0; j < kN; ++j) {
             double exact = 0, magnitude = 0;
@@ -227,14 +115,15 @@ TEST(Mlp, ProductsOfALayerInBf16AndSplitBf16) {
               exact += product;
               magnitude += std::abs(product);
             }
-            const double rounding = !AmxAvailable() ? 0 : precision == GemmPrecision::kFloat ? 0x1p-16 : 1.01 * 0x1p-8;
+            const double rounding = !Bf16Pays(args) ? 0 : precision == GemmPrecision::kFloat ? 0x1p-16 : 1.01 * 0x1p-8;
             worst.Add(std::abs(c[i * kN + j] - exact), (rounding + double(k + 2) * kUnit<float>)*magnitude);
           }
         }
       }
     }
-    worst.Hold("MLP", "a layer's product, weights 1e-30 to 1e15",
-               precision == GemmPrecision::kFloat ? "training (split bf16 on AMX)" : "pictures (bf16 on AMX)");
+    worst.Hold(
+        "MLP", "a layer's product, weights 1e-30 to 1e15",
+        precision == GemmPrecision::kFloat ? "training (split bf16 on AMX)" : "pictures (bf16 on AMX and AVX-512)");
   }
 }
 
