@@ -22,12 +22,13 @@ using torch::Tensor;
 
 constexpr char kParameterPrefix[] = "parameter/";
 constexpr char kAdamMPrefix[] = "adam_m/";
-constexpr char kAdamVPrefix[] = "adam_v/";
+constexpr char kAdamVPrefix[] = "adam_v/", kAveragePrefix[] = "average/";
 
 // TrainState's plain numbers by name. `Visit` is called with (name, member) for each: the one list for both directions.
 template <typename State, typename Visit>
 void ForEachNumber(State& state, const Visit& visit) {
   visit("adam_t", state.adam_t);
+  visit("n_averaged", state.n_averaged);
   visit("map", state.map);
   visit("step", state.step);
   visit("n_rays", state.n_rays);
@@ -123,6 +124,7 @@ void SaveCheckpoint(const std::filesystem::path& dir, const TrainState& state, c
   for (size_t i = 0; i < parameters.size(); ++i) {
     writer.Add(kAdamMPrefix + parameters[i].name, state.adam_m[i]);
     writer.Add(kAdamVPrefix + parameters[i].name, state.adam_v[i]);
+    if (state.n_averaged > 0) writer.Add(kAveragePrefix + parameters[i].name, state.average[i]);
   }
   const OccupancyGrid::State occupancy = state.occupancy.GetState();
   writer.Add(occupancy);
@@ -146,6 +148,11 @@ void LoadCheckpoint(const std::filesystem::path& dir, const std::string& setting
   ForEachNumber(state, [&](const char* name, auto& value) {
     value = Get<std::remove_reference_t<decltype(value)>>(numbers, name, where);
   });
+  state.average.clear();
+  for (size_t i = 0; state.n_averaged > 0 && i < parameters.size(); ++i) {
+    state.average.push_back(at::empty(parameters[i].value.sizes(), torch::kFloat));
+    Read(file, kAveragePrefix + parameters[i].name, state.average.back());
+  }
 }
 
 void SaveModel(const std::filesystem::path& dir, const TrainState& state, const RenderOptions& options) {

@@ -44,13 +44,13 @@ NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(FieldConfig, levels, base_resolution, max_res
                                    lobes_phi, lobe_row_width, directional_encoding, directional_layers,
                                    directional_width, activation)
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(TrainConfig, steps, rays, max_rays, target_shaded, grid_rate, network_rate,
-                                   final_rate, beta1, beta2, epsilon, lazy_grids, reset_with_step, orientation_weight,
-                                   density_l1_weight, density_l1_weight_later, sparsity_weight, depth_weight,
-                                   depth_rays, step_voxels, step_moments, step_ratio, occupancy_resolution,
-                                   occupancy_moments, occupancy_interval, occupancy_cells, occupancy_threshold,
-                                   occupancy_decay, occupancy_dilate, occupancy_min_views, shrink_moments,
-                                   weight_threshold_first, weight_threshold_last, weight_threshold_moment,
-                                   unknown_background)
+                                   final_rate, beta1, beta2, epsilon, lazy_grids, average_from, average_interval,
+                                   reset_with_step, orientation_weight, density_l1_weight, density_l1_weight_later,
+                                   sparsity_weight, depth_weight, depth_rays, step_voxels, step_moments, step_ratio,
+                                   occupancy_resolution, occupancy_moments, occupancy_interval, occupancy_cells,
+                                   occupancy_threshold, occupancy_decay, occupancy_dilate, occupancy_min_views,
+                                   shrink_moments, weight_threshold_first, weight_threshold_last,
+                                   weight_threshold_moment, unknown_background)
 
 Json ToJson(const FieldConfig& config) { return config; }
 Json ToJson(const TrainConfig& config) { return config; }
@@ -91,6 +91,9 @@ void CheckConfig(const TrainConfig& config) {
   check(config.grid_rate > 0 && config.network_rate > 0 && config.final_rate > 0 && config.epsilon > 0,
         "rates and epsilon must be positive");
   check(config.beta1 >= 0 && config.beta1 < 1 && config.beta2 >= 0 && config.beta2 < 1, "betas lie in [0, 1)");
+  check(config.average_from > 0 && config.average_interval > 0, "average_from and average_interval must be positive");
+  check(config.average_from >= 1 || config.shrink_moments.empty() || config.average_from > config.shrink_moments.back(),
+        "average_from must lie behind the last of shrink_moments");
   check(config.orientation_weight >= 0 && config.density_l1_weight >= 0 && config.density_l1_weight_later >= 0 &&
             config.sparsity_weight >= 0 && config.depth_weight >= 0,
         "weights of losses must not be negative");
@@ -194,6 +197,8 @@ Preset SmallPreset(bool unbounded) {
   train.target_shaded = unbounded ? 2048 : 4096;
   train.grid_rate = 0.03;
   train.network_rate = 3e-3;
+  train.final_rate = 0.6;
+  train.average_from = 0.6;
   train.epsilon = 1e-15;
   train.lazy_grids = true;
   train.reset_with_step = false;

@@ -55,6 +55,10 @@ struct TrainConfig {
   double grid_rate = 0.02, network_rate = 1e-3, final_rate = 0.1;
   double beta1 = 0.9, beta2 = 0.99, epsilon = 1e-8;
   bool lazy_grids = false;
+  // From this moment on the parameters are summed every average_interval steps, and the model is their mean: it lies
+  // nearer to where training leads than any of them, and lets rates end high (stochastic weight averaging). 1: never.
+  double average_from = 1;
+  int average_interval = 16;
   bool reset_with_step = true;  // forget Adam's moments and start the fall of the rates anew when the step changes
 
   double orientation_weight = 0.3;

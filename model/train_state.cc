@@ -19,4 +19,26 @@ void TrainState::ResetAdam() {
   adam_t = 0;
 }
 
+void TrainState::AddToAverage() {
+  const c10::NoGradGuard no_grad;
+  ++n_averaged;
+  if (average.empty()) {
+    for (const NrffField::Parameter& parameter : field.parameters()) average.push_back(parameter.value.clone());
+    return;
+  }
+  for (size_t i = 0; i < average.size(); ++i) {
+    average[i].lerp_(field.parameters()[i].value, 1.0 / double(n_averaged));
+  }
+}
+
+void TrainState::SwapAverage() {
+  const c10::NoGradGuard no_grad;
+  for (size_t i = 0; i < average.size(); ++i) {
+    torch::Tensor value = field.parameters()[i].value;  // its memory is what the training step knows
+    const torch::Tensor present = value.clone();
+    value.copy_(average[i]);
+    average[i].copy_(present);
+  }
+}
+
 }  // namespace nrff

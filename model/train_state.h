@@ -32,6 +32,8 @@ struct TrainState {
   NrffField field;
   std::vector<torch::Tensor> adam_m, adam_v;  // as field.parameters()
   int64_t adam_t = 0;                         // steps since the moments were last zero
+  std::vector<torch::Tensor> average;         // of the parameters (TrainConfig::average_from); empty before
+  int64_t n_averaged = 0;                     // of which so many were taken
   OccupancyGrid occupancy;
   SceneMap map;
 
@@ -55,6 +57,10 @@ struct TrainState {
   int resumed = 0;  // times training went on from a checkpoint
 
   void ResetAdam();
+  // One more of the parameters as they are into their mean.
+  void AddToAverage();
+  // The parameters change places with their mean, where there is one.
+  void SwapAverage();
 };
 
 }  // namespace nrff

@@ -187,6 +187,9 @@ void Trainer::Step() {
     }
   }
   if (options_.check) CheckState();
+  if (not_finite.empty() && progress >= config.average_from && state_.step % config.average_interval == 0) {
+    state_.AddToAverage();
+  }
   if (config.target_shaded > 0) {
     // Half of the way, so that one unusual batch does not throw it off.
     const double wanted =

@@ -128,7 +128,9 @@ void WriteChoice(const std::filesystem::path& dir, const Decision& decision) {
 void Evaluate(const HeldOutViews& held_out, Trainer& trainer) {
   TrainState& state = trainer.state();
   const auto start = Clock::now();
+  state.SwapAverage();
   const double psnr = held_out.Psnr(state.field, state.occupancy, state.map, trainer.EvaluationOptions());
+  state.SwapAverage();
   if (std::isnan(psnr) || std::isnan(trainer.TrainPsnr())) {
     throw TrainingDiverged(std::string("the model shows colours that are no numbers in ") +
                            (std::isnan(psnr) ? "held-out views" : "every training batch") + " by step " +
@@ -289,8 +291,10 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
   const HeldOutViews held_out(scene, pack, BackgroundLevel(scene, preset.train.unknown_background));
   TrainToTheEnd(*trainer, held_out, settings.dump(), request.check, artifact);
 
-  const TrainState& state = trainer->state();
+  TrainState& state = trainer->state();
+  state.SwapAverage();
   SaveModel(artifact.dir(), state, trainer->EvaluationOptions());
+  state.SwapAverage();
   SaveCheckpoint(artifact.dir(), state, settings.dump());
   artifact.facts() = {{"steps", state.step},
                       {"samples", state.samples},

@@ -166,11 +166,15 @@ TEST_F(TrainTest, ImprovesOnViewsItHasNotSeen) {
 TEST_F(TrainTest, StoppedAndResumedGivesTheSameBitsAsNeverStopped) {
   Preset preset = TestPreset(60);  // the step changes, occupancy is updated and the box shrinks on the way
   preset.train.depth_weight = 0.1;
+  preset.train.average_from = 0.6;
+  preset.train.average_interval = 5;
   const std::vector<SparseDepth> depths = BallDepths(scene_);
   Trainer whole(scene_, pack_, depths, preset, {.seed = 3});
   while (!whole.Done()) whole.Step();
   EXPECT_GT(whole.state().shrink_moments_done, 0);
-  for (const int64_t stop : {1, 15, 16, 37}) {
+  EXPECT_GT(whole.state().n_averaged, 2);
+  whole.state().SwapAverage();
+  for (const int64_t stop : {1, 15, 16, 37, 44}) {
     const TemporaryDirectory out;
     {
       Trainer first(scene_, pack_, depths, preset, {.seed = 3});
@@ -181,10 +185,45 @@ TEST_F(TrainTest, StoppedAndResumedGivesTheSameBitsAsNeverStopped) {
     LoadCheckpoint(out.path(), "settings", second.state());
     EXPECT_EQ(second.state().step, stop);
     while (!second.Done()) second.Step();
+    second.state().SwapAverage();
     EXPECT_EQ(ModelBytes(second), ModelBytes(whole)) << "stopped after step " << stop;
     EXPECT_EQ(second.state().samples, whole.state().samples);
     EXPECT_EQ(second.TrainPsnr(), whole.TrainPsnr());
   }
+}
+
+// From average_from on, of every average_interval-th step.
+TEST_F(TrainTest, AverageIsTheMeanOfTheParametersOnTheWay) {
+  Preset preset = TestPreset(60);
+  preset.train.average_from = 0.5;
+  preset.train.average_interval = 4;
+  Trainer trainer(scene_, pack_, {}, preset, {.seed = 3});
+  std::vector<Tensor> sums;
+  int n = 0;
+  while (!trainer.Done()) {
+    trainer.Step();
+    const int64_t step = trainer.state().step - 1;
+    if (step < 30 || step % 4 != 0) continue;
+    ++n;
+    for (size_t i = 0; i < trainer.state().field.parameters().size(); ++i) {
+      const Tensor value = trainer.state().field.parameters()[i].value.detach().to(torch::kDouble);
+      if (n == 1) {
+        sums.push_back(value.clone());
+      } else {
+        sums[i] += value;
+      }
+    }
+  }
+  EXPECT_EQ(trainer.state().n_averaged, n);
+  const std::string last = ModelBytes(trainer);
+  trainer.state().SwapAverage();
+  for (size_t i = 0; i < sums.size(); ++i) {
+    const Tensor value = trainer.state().field.parameters()[i].value.detach();
+    EXPECT_LT((value - sums[i] / n).abs().max().item<double>(), 1e-6 * (1 + (sums[i] / n).abs().max().item<double>()));
+  }
+  EXPECT_NE(ModelBytes(trainer), last);
+  trainer.state().SwapAverage();
+  EXPECT_EQ(ModelBytes(trainer), last);
 }
 
 TEST_F(TrainTest, AnotherSeedGivesAnotherModel) {
