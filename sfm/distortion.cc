@@ -3,105 +3,20 @@
 #include <Eigen/LU>
 #include <cmath>
 #include <string>
-#include <unsupported/Eigen/AutoDiff>
 
 #include "pipeline/error.h"
+#include "sfm/lens_model.h"
 
 namespace nrff {
 namespace {
 
 using Eigen::Matrix2d;
 using Eigen::Vector2d;
-using std::sqrt;
+using lens_model::Distort;
+using lens_model::Pair;
 
 // u and v with their derivatives by (u, v).
-using Dual = Eigen::AutoDiffScalar<Vector2d>;
-
-double Value(double x) { return x; }
-double Value(const Dual& x) { return x.value(); }
-
-double ArcTangent(double x) { return std::atan(x); }
-Dual ArcTangent(const Dual& x) { return {std::atan(x.value()), x.derivatives() / (1 + x.value() * x.value())}; }
-
-// θ/r, where θ = atan(r): the ratio by which a fisheye's equidistant image is smaller than a pinhole's.
-template <typename T>
-T AngleOverRadius(const T& r2) {
-  if (Value(r2) < 1e-8) return T(1.0 - r2 / 3.0);  // next term r⁴/5 ≤ 2e-17
-  const T r = sqrt(r2);
-  return T(ArcTangent(r) / r);
-}
-
-template <typename T>
-struct Pair {
-  T u, v;
-};
-
-// Tangential terms of Brown's model.
-template <typename T>
-Pair<T> Tangential(const T& u, const T& v, double p1, double p2) {
-  const T r2 = u * u + v * v;
-  return {2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u), 2.0 * p2 * u * v + p1 * (r2 + 2.0 * v * v)};
-}
-
-// 1 + k[0] x + k[1] x² + …
-template <typename T>
-T Polynomial(const T& x, const double* k, int n) {
-  T sum(0.0);
-  for (int i = n - 1; i >= 0; --i) sum = x * (sum + k[i]);
-  return T(1.0 + sum);
-}
-
-// Camera coordinates → distorted camera coordinates.
-template <typename T>
-Pair<T> Distort(CameraModel model, const double* k, const T& u, const T& v) {
-  const T r2 = u * u + v * v;
-  const auto scaled = [&](const T& factor) { return Pair<T>{u * factor, v * factor}; };
-  const auto fisheye = [&](int n) {
-    const T ratio = AngleOverRadius(r2);
-    const T theta2 = ratio * ratio * r2;
-    return scaled(ratio * Polynomial(theta2, k, n));
-  };
-  switch (model) {
-    case CameraModel::kSimplePinhole:
-    case CameraModel::kPinhole:
-      return {u, v};
-    case CameraModel::kSimpleRadial:
-      return scaled(Polynomial(r2, k, 1));
-    case CameraModel::kRadial:
-      return scaled(Polynomial(r2, k, 2));
-    case CameraModel::kOpenCV: {
-      const T radial = Polynomial(r2, k, 2);
-      const Pair<T> tangential = Tangential(u, v, k[2], k[3]);
-      return {u * radial + tangential.u, v * radial + tangential.v};
-    }
-    case CameraModel::kOpenCVFisheye:
-      return fisheye(4);
-    case CameraModel::kFullOpenCV: {
-      const T radial = (1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / Polynomial(r2, k + 5, 3);
-      const Pair<T> tangential = Tangential(u, v, k[2], k[3]);
-      return {u * radial + tangential.u, v * radial + tangential.v};
-    }
-    case CameraModel::kFov: {
-      const double omega = k[0];
-      if (std::abs(omega) < 1e-6) return {u, v};
-      const double tangent = 2 * std::tan(omega / 2);
-      return scaled(AngleOverRadius<T>(r2 * (tangent * tangent)) * (tangent / omega));
-    }
-    case CameraModel::kSimpleRadialFisheye:
-      return fisheye(1);
-    case CameraModel::kRadialFisheye:
-      return fisheye(2);
-    case CameraModel::kThinPrismFisheye: {
-      const T ratio = AngleOverRadius(r2);
-      const T a = u * ratio, b = v * ratio;
-      const T s2 = a * a + b * b;
-      const T radial = 1.0 + s2 * (k[0] + s2 * (k[1] + s2 * (k[4] + s2 * k[5])));
-      const Pair<T> tangential = Tangential(a, b, k[2], k[3]);
-      return {a * radial + tangential.u + k[6] * s2, b * radial + tangential.v + k[7] * s2};
-    }
-  }
-  return {u, v};
-}
+using Dual = ceres::Jet<double, 2>;
 
 Vector2d DistortedPoint(CameraModel model, const double* k, const Vector2d& uv) {
   const Pair<double> d = Distort(model, k, uv.x(), uv.y());
@@ -109,16 +24,11 @@ Vector2d DistortedPoint(CameraModel model, const double* k, const Vector2d& uv) 
 }
 
 Matrix2d Jacobian(CameraModel model, const double* k, const Vector2d& uv, Vector2d* value) {
-  const Pair<Dual> d = Distort(model, k, Dual(uv.x(), 2, 0), Dual(uv.y(), 2, 1));
-  *value = {d.u.value(), d.v.value()};
+  const Pair<Dual> d = Distort(model, k, Dual(uv.x(), 0), Dual(uv.y(), 1));
+  *value = {d.u.a, d.v.a};
   Matrix2d jacobian;
-  jacobian << d.u.derivatives().transpose(), d.v.derivatives().transpose();
+  jacobian << d.u.v.transpose(), d.v.v.transpose();
   return jacobian;
-}
-
-bool HasOneFocalLength(CameraModel model) {
-  return model == CameraModel::kSimplePinhole || model == CameraModel::kSimpleRadial || model == CameraModel::kRadial ||
-         model == CameraModel::kSimpleRadialFisheye || model == CameraModel::kRadialFisheye;
 }
 
 }  // namespace
@@ -133,12 +43,11 @@ Lens::Lens(const ColmapCamera& camera) : camera_(camera) {
   for (const double param : camera.params) {
     if (!std::isfinite(param)) throw InputError(where + " has a parameter that is not finite; export the model again");
   }
-  const bool one_focal = HasOneFocalLength(camera.model);
+  first_distortion_ = size_t(lens_model::FirstDistortion(camera.model));
   fx_ = camera.params[0];
-  fy_ = camera.params[one_focal ? 0 : 1];
+  fy_ = camera.params[first_distortion_ - 3];  // the first again where there is one
   if (!(fx_ > 0) || !(fy_ > 0))
     throw InputError(where + " has a focal length that is not positive; export the model again");
-  first_distortion_ = one_focal ? 3 : 4;
   cx_ = camera.params[first_distortion_ - 2];
   cy_ = camera.params[first_distortion_ - 1];
   valid_radius_ = FindValidRadius();

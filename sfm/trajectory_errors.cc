@@ -13,6 +13,7 @@
 
 #include "pipeline/error.h"
 #include "pipeline/files.h"
+#include "sfm/statistics.h"
 
 namespace nrff {
 namespace {
@@ -51,13 +52,6 @@ Centers MatchedCenters(const Trajectory& estimated, const Trajectory& truth, con
     centers.truth.col(Eigen::Index(i)) = truth[matches.pairs[i].second].center;
   }
   return centers;
-}
-
-double Median(std::vector<double> values) {
-  if (values.empty()) return std::numeric_limits<double>::quiet_NaN();
-  const auto middle = values.begin() + long(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 std::vector<double> Distances(const Similarity& similarity, const Centers& centers) {
