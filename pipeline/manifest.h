@@ -31,7 +31,8 @@ struct HashedPath {
 };
 
 struct Manifest {
-  std::string kind;      // "ingest", "sfm", "pose", "train", "render", "eval", "report", "rendering", "scoring"
+  std::string kind;      // "ingest", "sfm", "pose", "train", "render", "eval", "report", "rendering", "scoring",
+                         // "refinement"
   std::string producer;  // executable, e.g. "nrff-train"
   std::string version;   // of the producer
   Params params;

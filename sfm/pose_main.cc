@@ -1,4 +1,4 @@
-// nrff-pose estimate | normalise | compare
+// nrff-pose estimate | normalise | compare | refine
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <filesystem>
@@ -10,8 +10,10 @@
 #include <vector>
 
 #include "pipeline/error.h"
+#include "pipeline/files.h"
 #include "pipeline/manifest.h"
 #include "pipeline/stage.h"
+#include "sfm/bundle_refinement.h"
 #include "sfm/capture.h"
 #include "sfm/estimate.h"
 #include "sfm/scene_pack.h"
@@ -26,13 +28,17 @@ struct Common {
   int n_threads = std::max(1, int(std::thread::hardware_concurrency()));
 };
 
-void AddCommon(CLI::App& app, Common& common) {
-  app.add_option("--ingest", common.ingest, "Artifact of nrff-ingest")->required();
+void AddOutput(CLI::App& app, Common& common) {
   app.add_option("--out", common.out, "Artifact to write")->required();
   app.add_option("--threads", common.n_threads, "Threads to use")
       ->check(CLI::Range(1, nrff::kMostThreads))
       ->capture_default_str();
   nrff::AddVerbosity(app);
+}
+
+void AddCommon(CLI::App& app, Common& common) {
+  app.add_option("--ingest", common.ingest, "Artifact of nrff-ingest")->required();
+  AddOutput(app, common);
 }
 
 nrff::HashedPath Input(const fs::path& dir, const std::string& kind) {
@@ -105,7 +111,34 @@ int main(int argc, char** argv) {
   compare->add_flag("--json", as_json, "The errors as JSON");
   nrff::AddVerbosity(*compare);
 
+  CLI::App* refine = app.add_subcommand(
+      "refine",
+      "Refines the poses, lenses and points of a COLMAP model together, and says how\nwell the images fix them "
+      "(refinement.json). A model that they do not fix comes\nback as it was.\n"
+      "Example: nrff-pose refine --model work/fox/sfm --out work/refined");
+  nrff::BundleOptions refinement;
+  fs::path model;
+  refine->add_option("--model", model, "A COLMAP model, or a folder with one in sparse/")->required();
+  AddOutput(*refine, common);
+  refine->add_option("--loss-scale", refinement.loss_scale_px, "Residuals beyond count less and less, px")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str()
+      ->group(nrff::kParameterGroup);
+  refine->add_option("--max-iterations", refinement.max_iterations, "Steps of a minimisation at the most")
+      ->check(CLI::Range(1, 100000))
+      ->capture_default_str()
+      ->group(nrff::kParameterGroup);
+
   return nrff::StageMain(app, argc, argv, [&] {
+    if (refine->parsed()) {
+      refinement.n_threads = common.n_threads;
+      model = nrff::FolderOfModel(model);
+      nrff::ArtifactWriter artifact("refinement", common.out, nrff::GivenParams(*refine),
+                                    {{nrff::EscapePath(model), nrff::HashTree(model), 0}});
+      nrff::RefineModel(model, refinement, artifact);
+      artifact.Commit();
+      return;
+    }
     if (compare->parsed()) {
       const nrff::Trajectory poses = nrff::ReadTrajectory(estimated);
       nrff::Trajectory true_poses = nrff::ReadTrajectory(truth);

@@ -1,0 +1,306 @@
+#include "sfm/bundle_information.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+
+#include "sfm/statistics.h"
+
+namespace nrff {
+namespace {
+
+using Eigen::Index;
+using Eigen::Matrix3d;
+using Eigen::MatrixXd;
+using Eigen::Vector2d;
+using Eigen::Vector3d;
+using Eigen::VectorXd;
+
+constexpr double kEps = std::numeric_limits<double>::epsilon();
+constexpr double kPlanar = 0.01;
+
+// One observation's derivatives by the free directions of its image, camera and point, weighted by √ρ'.
+struct Row {
+  std::array<Index, 2> offset;               // of the image's and the camera's columns
+  std::array<Eigen::Matrix2Xd, 2> jacobian;  // by the image's and by the camera's
+  Eigen::Matrix<double, 2, 3> by_point;
+  Vector2d residual;
+};
+
+std::vector<int> Others(int size, const std::vector<int>& held) {
+  std::vector<int> free;
+  for (int i = 0; i < size; ++i) {
+    if (std::find(held.begin(), held.end(), i) == held.end()) free.push_back(i);
+  }
+  return free;
+}
+
+// Columns of the free directions: images first (turn, then centre), then cameras.
+struct Layout {
+  std::vector<Index> image, camera;
+  std::vector<std::vector<int>> axes, params;  // free ones
+  Index size = 0;
+
+  explicit Layout(const Bundle& bundle) {
+    for (size_t i = 0; i < bundle.images.size(); ++i) {
+      image.push_back(size);
+      axes.push_back(Others(3, bundle.HeldAxes(i)));
+      if (!bundle.IsAnchor(i)) size += 3 + Index(axes.back().size());
+    }
+    for (size_t i = 0; i < bundle.cameras.size(); ++i) {
+      camera.push_back(size);
+      params.push_back(Others(int(bundle.cameras[i].n_params), bundle.HeldParams(i)));
+      size += Index(params.back().size());
+    }
+  }
+};
+
+// Derivatives of a rotated vector by a turn δ about the camera's axes: camera_from_frame → exp([δ]) camera_from_frame,
+// as columns of xyzw.
+Eigen::Matrix<double, 4, 3> TurnBasis(const Eigen::Quaterniond& q) {
+  Eigen::Matrix<double, 4, 3> basis;
+  for (int axis = 0; axis < 3; ++axis) {
+    basis.col(axis) = (Eigen::Quaterniond(0, axis == 0, axis == 1, axis == 2) * q).coeffs() / 2;
+  }
+  return basis;
+}
+
+Row Linearise(const Bundle& bundle, const Layout& layout, const Bundle::Observation& observation,
+              const ceres::LossFunction& loss) {
+  using RowMajor = Eigen::Matrix<double, 2, Eigen::Dynamic, Eigen::RowMajor>;
+  const size_t i = observation.image, k = bundle.images[i].camera;
+  const Bundle::Camera& camera = bundle.cameras[k];
+  RowMajor by_rotation(2, 4), by_center(2, 3), by_point(2, 3), by_intrinsics(2, camera.n_params);
+  const double* values[] = {bundle.Rotation(i).coeffs().data(), bundle.Center(i).data(),
+                            bundle.Position(observation.point).data(), bundle.Intrinsics(k)};
+  double* jacobians[] = {by_rotation.data(), by_center.data(), by_point.data(), by_intrinsics.data()};
+  Row row;
+  ReprojectionCost(camera.model, observation.px)->Evaluate(values, row.residual.data(), jacobians);
+  double rho[3];
+  loss.Evaluate(row.residual.squaredNorm(), rho);
+  const double weight = std::sqrt(rho[1]);
+  row.residual *= weight;
+  row.by_point = weight * by_point;
+  row.offset = {layout.image[i], layout.camera[k]};
+  if (!bundle.IsAnchor(i)) {
+    row.jacobian[0].resize(2, 3 + Index(layout.axes[i].size()));
+    row.jacobian[0] << weight * by_rotation * TurnBasis(bundle.Rotation(i)),
+        weight * by_center(Eigen::all, layout.axes[i]);
+  }
+  row.jacobian[1] = weight * by_intrinsics(Eigen::all, layout.params[k]);
+  return row;
+}
+
+struct Normal {
+  MatrixXd reduced;      // points eliminated
+  VectorXd diagonal;     // of the camera part before
+  VectorXd gradient;     // reduced
+  VectorXd most;         // largest length of a column over observations, px per unit
+  double decrement = 0;  // of the points
+};
+
+// Eliminates a point: its pseudo-inverse leaves a depth that nearly parallel rays do not fix to itself.
+void Eliminate(const std::vector<Row>& rows, Normal& normal) {
+  Matrix3d information = Matrix3d::Zero();
+  Vector3d gradient = Vector3d::Zero();
+  for (const Row& row : rows) {
+    information += row.by_point.transpose() * row.by_point;
+    gradient += row.by_point.transpose() * row.residual;
+  }
+  const Vector3d diagonal = information.diagonal();
+  Vector3d scale = Vector3d::Zero();
+  for (int i = 0; i < 3; ++i) scale[i] = diagonal[i] > 0 ? 1 / std::sqrt(diagonal[i]) : 0;
+  const Eigen::SelfAdjointEigenSolver<Matrix3d> eigen(scale.asDiagonal() * information * scale.asDiagonal());
+  Vector3d inverse = Vector3d::Zero();
+  for (int i = 0; i < 3; ++i) {
+    if (eigen.eigenvalues()[i] > 8 * 3 * kEps) inverse[i] = 1 / eigen.eigenvalues()[i];
+  }
+  const Matrix3d covariance = scale.asDiagonal() * eigen.eigenvectors() * inverse.asDiagonal() *
+                              eigen.eigenvectors().transpose() * scale.asDiagonal();
+  normal.decrement += gradient.dot(covariance * gradient);
+
+  struct Segment {
+    Index offset;
+    Eigen::MatrixX3d by_point;
+  };
+  std::vector<Segment> segments;  // by offset
+  for (const Row& row : rows) {
+    for (int a = 0; a < 2; ++a) {
+      if (row.jacobian[a].cols() == 0) continue;
+      const Eigen::MatrixX3d by_point = row.jacobian[a].transpose() * row.by_point;
+      const auto same = std::find_if(segments.begin(), segments.end(),
+                                     [&](const Segment& segment) { return segment.offset == row.offset[a]; });
+      if (same == segments.end())
+        segments.push_back({row.offset[a], by_point});
+      else
+        same->by_point += by_point;
+      normal.gradient.segment(row.offset[a], row.jacobian[a].cols()) += row.jacobian[a].transpose() * row.residual;
+      for (int b = 0; b < 2; ++b) {
+        normal.reduced.block(row.offset[a], row.offset[b], row.jacobian[a].cols(), row.jacobian[b].cols()) +=
+            row.jacobian[a].transpose() * row.jacobian[b];
+      }
+      const auto squares = row.jacobian[a].colwise().squaredNorm().transpose();
+      auto diagonal_part = normal.diagonal.segment(row.offset[a], row.jacobian[a].cols());
+      diagonal_part += squares;
+      auto most = normal.most.segment(row.offset[a], row.jacobian[a].cols());
+      most = most.cwiseMax(squares.cwiseSqrt());
+    }
+  }
+  for (const Segment& a : segments) {
+    normal.gradient.segment(a.offset, a.by_point.rows()) -= a.by_point * (covariance * gradient);
+    const Eigen::MatrixX3d weighted = a.by_point * covariance;
+    for (const Segment& b : segments) {
+      normal.reduced.block(a.offset, b.offset, a.by_point.rows(), b.by_point.rows()) -=
+          weighted * b.by_point.transpose();
+    }
+  }
+}
+
+Normal Reduce(const Bundle& bundle, const Layout& layout, double loss_scale_px) {
+  const CauchyLoss loss(loss_scale_px);
+  Normal normal{MatrixXd::Zero(layout.size, layout.size), VectorXd::Zero(layout.size), VectorXd::Zero(layout.size),
+                VectorXd::Zero(layout.size)};
+  std::vector<Row> rows;
+  for (size_t i = 0; i < bundle.observations.size(); ++i) {
+    rows.push_back(Linearise(bundle, layout, bundle.observations[i], loss));
+    const bool last = i + 1 == bundle.observations.size();
+    if (!last && bundle.observations[i + 1].point == bundle.observations[i].point) continue;
+    Eliminate(rows, normal);
+    rows.clear();
+  }
+  return normal;
+}
+
+// The open directions' squares over `columns` columns from `offset`.
+double Share(const MatrixXd& directions, Index offset, Index columns) {
+  return directions.middleRows(offset, columns).squaredNorm() / double(directions.cols());
+}
+
+// Free parameters of a group, as positions among the camera's free ones.
+std::vector<Index> GroupColumns(const Bundle& bundle, const Layout& layout, size_t camera, Bundle::Group group) {
+  const auto [first, last] = GroupRange(bundle.cameras[camera].model, group);
+  std::vector<Index> columns;
+  for (size_t i = 0; i < layout.params[camera].size(); ++i) {
+    const int param = layout.params[camera][i];
+    if (param >= first && param < last) columns.push_back(layout.camera[camera] + Index(i));
+  }
+  return columns;
+}
+
+VectorXd OpenShares(const Bundle& bundle, const Layout& layout, const MatrixXd& directions) {
+  VectorXd open = VectorXd::Zero(Index(bundle.images.size() + bundle.cameras.size() * Bundle::kGroups));
+  for (size_t i = 0; i < bundle.images.size(); ++i) {
+    const Index columns = bundle.IsAnchor(i) ? 0 : 3 + Index(layout.axes[i].size());
+    open[Index(i)] = Share(directions, layout.image[i], columns);
+  }
+  for (size_t k = 0; k < bundle.cameras.size(); ++k) {
+    for (const auto group : {Bundle::kFocal, Bundle::kPrincipal, Bundle::kDistortion}) {
+      for (const Index column : GroupColumns(bundle, layout, k, group)) {
+        open[Index(bundle.images.size() + k * Bundle::kGroups + group)] += Share(directions, column, 1);
+      }
+    }
+  }
+  return open;
+}
+
+std::vector<PoseCovariance> Covariances(const Bundle& bundle, const Layout& layout, const MatrixXd& covariance) {
+  std::vector<PoseCovariance> covariances;
+  for (size_t i = 0; i < bundle.images.size(); ++i) {
+    PoseCovariance& pose = covariances.emplace_back();
+    pose.image = bundle.images[i].id;
+    if (bundle.IsAnchor(i)) continue;
+    const Index offset = layout.image[i];
+    pose.rotation = covariance.block<3, 3>(offset, offset);
+    for (size_t a = 0; a < layout.axes[i].size(); ++a) {
+      for (size_t b = 0; b < layout.axes[i].size(); ++b) {
+        pose.position(layout.axes[i][a], layout.axes[i][b]) = covariance(offset + 3 + Index(a), offset + 3 + Index(b));
+      }
+    }
+  }
+  return covariances;
+}
+
+}  // namespace
+
+BundleInformation MeasureInformation(const Bundle& bundle, double loss_scale_px) {
+  const Layout layout(bundle);
+  const Normal normal = Reduce(bundle, layout, loss_scale_px);
+  BundleInformation information;
+  information.n_free = size_t(layout.size) + 3 * bundle.points.size();
+  information.decrement = normal.decrement;
+  VectorXd scale(layout.size);
+  for (Index i = 0; i < layout.size; ++i) scale[i] = normal.diagonal[i] > 0 ? 1 / std::sqrt(normal.diagonal[i]) : 1;
+  const MatrixXd scaled = scale.asDiagonal() * normal.reduced * scale.asDiagonal();
+  const double tolerance = 8 * double(layout.size) * kEps;
+  const Eigen::LLT<MatrixXd> cholesky(scaled);
+  // Its estimate is within a factor of the size: where it is far from the tolerance, the eigenvalues need not be found.
+  if (cholesky.info() != Eigen::Success || cholesky.rcond() < double(layout.size) * tolerance) {
+    const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(scaled);
+    const Index n_open = (eigen.eigenvalues().array() <= tolerance).count();
+    if (n_open > 0 || cholesky.info() != Eigen::Success) {
+      information.has_rank = false;
+      information.open = OpenShares(bundle, layout, eigen.eigenvectors().leftCols(std::max<Index>(n_open, 1)));
+      return information;
+    }
+  }
+  const MatrixXd covariance =
+      scale.asDiagonal() * cholesky.solve(MatrixXd::Identity(layout.size, layout.size)) * scale.asDiagonal();
+  information.decrement += normal.gradient.dot(covariance * normal.gradient);
+  information.covariances = Covariances(bundle, layout, covariance);
+  information.spread = VectorXd::Zero(Index(bundle.cameras.size() * Bundle::kGroups));
+  for (size_t k = 0; k < bundle.cameras.size(); ++k) {
+    for (const auto group : {Bundle::kFocal, Bundle::kPrincipal, Bundle::kDistortion}) {
+      double& spread = information.spread[Index(k * Bundle::kGroups + group)];
+      for (const Index column : GroupColumns(bundle, layout, k, group)) {
+        spread = std::max(spread, std::sqrt(std::max(0.0, covariance(column, column))) * normal.most[column]);
+      }
+    }
+  }
+  return information;
+}
+
+std::optional<std::string> NamedDegeneracy(const Bundle& bundle, double angle) {
+  // Angles between unit vectors by their difference: exact where they are small.
+  std::vector<Vector3d> first_ray(bundle.points.size(), Vector3d::Zero());
+  std::vector<double> parallax(bundle.points.size());
+  std::vector<Vector3d> first_view(bundle.images.size(), Vector3d::Zero());
+  std::vector<double> extent(bundle.images.size());
+  for (const Bundle::Observation& o : bundle.observations) {
+    const Vector3d ray = (bundle.Position(o.point) - bundle.Center(o.image)).normalized();
+    if (first_ray[o.point].isZero(0)) first_ray[o.point] = ray;
+    parallax[o.point] = std::max(parallax[o.point], (ray - first_ray[o.point]).norm());
+    if (first_view[o.image].isZero(0)) first_view[o.image] = ray;
+    extent[o.image] = std::max(extent[o.image], (ray - first_view[o.image]).norm());
+  }
+  if (!(Median(extent) > angle)) {
+    return "all points at one place: in most images they lie within the observations' own deviation";
+  }
+  if (!(Median(parallax) > angle)) {
+    return "rotation only: the rays to most points are parallel but for the observations' own deviation, so that no "
+           "baseline fixes their distances";
+  }
+  return {};
+}
+
+bool IsPlanar(const Bundle& bundle) {
+  for (size_t c = 0; c < bundle.components.size(); ++c) {
+    Vector3d mean = Vector3d::Zero();
+    Matrix3d squares = Matrix3d::Zero();
+    double n = 0;
+    for (size_t i = 0; i < bundle.points.size(); ++i) {
+      if (bundle.points[i].component == c) mean += bundle.Position(i), ++n;
+    }
+    for (size_t i = 0; i < bundle.points.size(); ++i) {
+      const Vector3d offset = bundle.Position(i) - mean / n;
+      if (bundle.points[i].component == c) squares += offset * offset.transpose();
+    }
+    const Vector3d extents = Eigen::SelfAdjointEigenSolver<Matrix3d>(squares).eigenvalues().cwiseMax(0).cwiseSqrt();
+    if (!(extents[0] < kPlanar * extents[1])) return false;
+  }
+  return true;
+}
+
+}  // namespace nrff
