@@ -70,6 +70,7 @@ Json CertificateJson(const BundleCertificate& certificate, const ColmapModel& mo
           {"components", components},
           {"track_lengths", track_lengths},
           {"held", certificate.held},
+          {"n_principal_points_held", certificate.n_principal_held},
           {"reprojection_error_px", {{"before", errors(certificate.before)}, {"after", errors(certificate.after)}}},
           {"cost_px2", {{"before", certificate.cost_before}, {"after", certificate.cost_after}}},
           {"n_behind_after", certificate.n_behind_after},

@@ -2,6 +2,7 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
+#include <Eigen/QR>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -96,67 +97,60 @@ Row Linearise(const Bundle& bundle, const Layout& layout, const Bundle::Observat
 
 struct Normal {
   MatrixXd reduced;      // points eliminated
-  VectorXd diagonal;     // of the camera part before
   VectorXd gradient;     // reduced
+  VectorXd before;       // diagonal with the points held
   VectorXd most;         // largest length of a column over observations, px per unit
   double decrement = 0;  // of the points
 };
 
-// Eliminates a point: its pseudo-inverse leaves a depth that nearly parallel rays do not fix to itself.
+// Eliminates a point by projecting its rows on what it cannot move [Demmel21]. Products of normal matrices would cancel
+// where a point lies close to a camera. A depth that parallel rays do not fix is no column of the point's.
 void Eliminate(const std::vector<Row>& rows, Normal& normal) {
-  Matrix3d information = Matrix3d::Zero();
-  Vector3d gradient = Vector3d::Zero();
-  for (const Row& row : rows) {
-    information += row.by_point.transpose() * row.by_point;
-    gradient += row.by_point.transpose() * row.residual;
-  }
-  const Vector3d diagonal = information.diagonal();
-  Vector3d scale = Vector3d::Zero();
-  for (int i = 0; i < 3; ++i) scale[i] = diagonal[i] > 0 ? 1 / std::sqrt(diagonal[i]) : 0;
-  const Eigen::SelfAdjointEigenSolver<Matrix3d> eigen(scale.asDiagonal() * information * scale.asDiagonal());
-  Vector3d inverse = Vector3d::Zero();
-  for (int i = 0; i < 3; ++i) {
-    if (eigen.eigenvalues()[i] > 8 * 3 * kEps) inverse[i] = 1 / eigen.eigenvalues()[i];
-  }
-  const Matrix3d covariance = scale.asDiagonal() * eigen.eigenvectors() * inverse.asDiagonal() *
-                              eigen.eigenvectors().transpose() * scale.asDiagonal();
-  normal.decrement += gradient.dot(covariance * gradient);
-
-  struct Segment {
-    Index offset;
-    Eigen::MatrixX3d by_point;
-  };
-  std::vector<Segment> segments;  // by offset
-  for (const Row& row : rows) {
-    for (int a = 0; a < 2; ++a) {
-      if (row.jacobian[a].cols() == 0) continue;
-      const Eigen::MatrixX3d by_point = row.jacobian[a].transpose() * row.by_point;
+  std::vector<Index> columns;  // of `normal`, those the rows touch
+  std::vector<std::array<Index, 2>> local(rows.size());
+  std::vector<std::pair<Index, Index>> segments;  // offset in `normal` and here
+  for (size_t i = 0; i < rows.size(); ++i) {
+    for (size_t part = 0; part < 2; ++part) {
+      const Index offset = rows[i].offset[part], size = rows[i].jacobian[part].cols();
       const auto same = std::find_if(segments.begin(), segments.end(),
-                                     [&](const Segment& segment) { return segment.offset == row.offset[a]; });
-      if (same == segments.end())
-        segments.push_back({row.offset[a], by_point});
-      else
-        same->by_point += by_point;
-      normal.gradient.segment(row.offset[a], row.jacobian[a].cols()) += row.jacobian[a].transpose() * row.residual;
-      for (int b = 0; b < 2; ++b) {
-        normal.reduced.block(row.offset[a], row.offset[b], row.jacobian[a].cols(), row.jacobian[b].cols()) +=
-            row.jacobian[a].transpose() * row.jacobian[b];
-      }
-      const auto squares = row.jacobian[a].colwise().squaredNorm().transpose();
-      auto diagonal_part = normal.diagonal.segment(row.offset[a], row.jacobian[a].cols());
-      diagonal_part += squares;
-      auto most = normal.most.segment(row.offset[a], row.jacobian[a].cols());
-      most = most.cwiseMax(squares.cwiseSqrt());
+                                     [offset](const auto& segment) { return segment.first == offset; });
+      local[i][part] = same == segments.end() ? Index(columns.size()) : same->second;
+      if (same != segments.end() || size == 0) continue;
+      segments.emplace_back(offset, Index(columns.size()));
+      for (Index column = 0; column < size; ++column) columns.push_back(offset + column);
     }
   }
-  for (const Segment& a : segments) {
-    normal.gradient.segment(a.offset, a.by_point.rows()) -= a.by_point * (covariance * gradient);
-    const Eigen::MatrixX3d weighted = a.by_point * covariance;
-    for (const Segment& b : segments) {
-      normal.reduced.block(a.offset, b.offset, a.by_point.rows(), b.by_point.rows()) -=
-          weighted * b.by_point.transpose();
+  const auto n_rows = Index(2 * rows.size());
+  MatrixXd by_cameras = MatrixXd::Zero(n_rows, Index(columns.size()));
+  Eigen::MatrixX3d by_point(n_rows, 3);
+  VectorXd residual(n_rows);
+  for (size_t i = 0; i < rows.size(); ++i) {
+    const auto row = Index(2 * i);
+    by_point.middleRows<2>(row) = rows[i].by_point;
+    residual.segment<2>(row) = rows[i].residual;
+    for (size_t part = 0; part < 2; ++part) {
+      const Eigen::Matrix2Xd& jacobian = rows[i].jacobian[part];
+      by_cameras.block(row, local[i][part], 2, jacobian.cols()) = jacobian;
+      auto most = normal.most.segment(rows[i].offset[part], jacobian.cols());
+      most = most.cwiseMax(jacobian.colwise().norm().transpose());
     }
   }
+  normal.before(columns) += by_cameras.colwise().squaredNorm().transpose();
+  for (int i = 0; i < 3; ++i) {
+    const double length = by_point.col(i).norm();
+    if (length > 0) by_point.col(i) /= length;
+  }
+  Eigen::ColPivHouseholderQR<Eigen::MatrixX3d> factors;
+  factors.setThreshold(8 * 3 * kEps);
+  factors.compute(by_point);
+  const auto rotation = factors.householderQ().setLength(factors.nonzeroPivots()).adjoint();
+  by_cameras.applyOnTheLeft(rotation);
+  residual.applyOnTheLeft(rotation);
+  const Index rank = factors.rank();
+  normal.decrement += residual.head(rank).squaredNorm();
+  const auto left = by_cameras.bottomRows(n_rows - rank);
+  normal.reduced(columns, columns) += left.transpose() * left;
+  normal.gradient(columns) += left.transpose() * residual.tail(n_rows - rank);
 }
 
 Normal Reduce(const Bundle& bundle, const Layout& layout, double loss_scale_px) {
@@ -232,7 +226,11 @@ BundleInformation MeasureInformation(const Bundle& bundle, double loss_scale_px)
   information.n_free = size_t(layout.size) + 3 * bundle.points.size();
   information.decrement = normal.decrement;
   VectorXd scale(layout.size);
-  for (Index i = 0; i < layout.size; ++i) scale[i] = normal.diagonal[i] > 0 ? 1 / std::sqrt(normal.diagonal[i]) : 1;
+  for (Index i = 0; i < layout.size; ++i) {
+    const double rounding = std::pow(double(layout.size) * kEps, 2) * normal.before[i];  // of what cancels to nothing
+    const double diagonal = normal.reduced(i, i) > rounding ? normal.reduced(i, i) : normal.before[i];
+    scale[i] = diagonal > 0 ? 1 / std::sqrt(diagonal) : 1;
+  }
   const MatrixXd scaled = scale.asDiagonal() * normal.reduced * scale.asDiagonal();
   const double tolerance = 8 * double(layout.size) * kEps;
   const Eigen::LLT<MatrixXd> cholesky(scaled);

@@ -23,8 +23,8 @@ struct BundleInformation {
 
 // Gauss-Newton's information at the bundle's values, observations weighted as Cauchy's loss weighs them.
 //
-// Columns are scaled to unit length first, so the rank does not depend on units: a direction counts as open when its
-// eigenvalue is within the rounding of the sums it comes from, 8·d·eps for d parameters.
+// Columns are scaled to unit length, points eliminated, so the rank does not depend on units: a direction counts as
+// open when its eigenvalue is within the rounding of the sums it comes from, 8·d·eps for d parameters.
 BundleInformation MeasureInformation(const Bundle& bundle, double loss_scale_px);
 
 // Structure that no rank tells from a weak one, in words: rays to the points that meet at less than `angle` (no

@@ -12,6 +12,8 @@ namespace {
 using Eigen::Vector2d;
 using Eigen::Vector3d;
 
+constexpr double kLeastDepth = 1e-12;  // baselines: derivatives by what is nearer would grow beyond all numbers
+
 // Images up to which the reduced camera matrix is dense, and sparse; beyond it is never formed.
 constexpr size_t kMostDense = 50, kMostSparse = 1000;
 
@@ -27,7 +29,8 @@ struct ReprojectionResidual {
     const Vector offset = Eigen::Map<const Vector>(point) - Eigen::Map<const Vector>(center);
     const Vector in_camera = camera_from_frame * offset;
     const double x = lens_model::Value(in_camera[0]), y = lens_model::Value(in_camera[1]);
-    if (!(lens_model::Value(in_camera[2]) * Lens::kLargestRadius > std::hypot(x, y))) {
+    const double z = lens_model::Value(in_camera[2]);
+    if (!(z > kLeastDepth && z * Lens::kLargestRadius > std::hypot(x, y))) {
       residual[0] = residual[1] = T(kUnseen_px);
       return true;
     }
@@ -170,10 +173,11 @@ ceres::Solver::Summary Solve(Bundle& bundle, double loss_scale_px, const BundleO
   solver.preconditioner_type = ceres::SCHUR_JACOBI;
   solver.max_num_iterations = options.max_iterations;
   solver.num_threads = options.n_threads;
-  // The cost is a sum of squares of numbers good to 1e-13, so it can fall on to far below any relative tolerance of its
-  // start: only steps that no longer matter to the parameters, or to a cost at its last digits, end it.
-  solver.function_tolerance = 1e-14;
-  solver.parameter_tolerance = 1e-14;
+  // What the last steps still gain is below a thousandth of a standard deviation. Without noise each step gains most of
+  // what is left, down to the cost's last digits; from there on none gains any, and the trust region's radius ends it.
+  // The length of all parameters, which Ceres would hold a step against, is that of the farthest point.
+  solver.function_tolerance = 1e-6 / double(bundle.observations.size());
+  solver.parameter_tolerance = 0;
   solver.gradient_tolerance = 0;
   solver.max_trust_region_radius = 1e12;          // its damping keeps the last directions above the sums' rounding
   solver.max_num_consecutive_invalid_steps = 20;  // a lens that is none (0/0 far off the axis) asks for shorter steps

@@ -4,7 +4,7 @@
 // Minimises Σ ρ(|projection − observation|²) by Levenberg-Marquardt (Ceres) with ρ = Cauchy's, in double. What is left
 // open by the data is not solved for but said: a model that does not fix its own structure comes back as it was, with
 // the reason. Intrinsics are shared by the images of a camera; those of a camera's focal length, principal point and
-// distortion that its images do not fix are held.
+// distortion that its images do not fix are held, and the principal point of cameras of fewer than five images.
 //
 // Gauge. Each connected component of images keeps the pose of its anchor, the image with the most observations, and the
 // distance from there to its partner, the image farthest from it: a well-measured frame and a long baseline keep the
@@ -64,6 +64,7 @@ struct BundleCertificate {
   std::vector<std::string> images_left_out;  // with fewer than three points, or in a component of its own
   std::vector<size_t> track_lengths;         // [n]: refined points with n observations
   std::vector<BundleComponent> components;
+  size_t n_principal_held = 0;    // cameras of so few images that their principal point is held anyway
   std::vector<std::string> held;  // intrinsics that the data do not fix: "focal length of camera 1"
 
   ReprojectionErrors before, after;

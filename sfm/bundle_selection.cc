@@ -18,6 +18,9 @@ using Eigen::Vector2d;
 using Eigen::Vector3d;
 
 constexpr size_t kFewestPoints = 3;  // that fix a pose, if several ways
+// Images of a camera from which on its principal point is free. Of fewer it is known by their deviations, too, but
+// moves with their rotations and takes up whatever the lens model lacks: degrees on real captures.
+constexpr size_t kFewestForPrincipal = 5;
 
 [[noreturn]] void Refuse(const std::string& what) {
   throw InputError(what + "; a refinement needs finite numbers: export the model again");
@@ -207,6 +210,12 @@ Bundle SelectBundle(const ColmapModel& model, BundleCertificate& certificate) {
   for (auto& [id, index] : images) {
     index = bundle.images.size();
     bundle.images.push_back({id, cameras.at(model.images.at(id).camera_id), 0});
+  }
+  for (size_t k = 0; k < bundle.cameras.size(); ++k) {
+    const auto n_images = size_t(std::count_if(bundle.images.begin(), bundle.images.end(),
+                                               [k](const Bundle::Image& image) { return image.camera == k; }));
+    bundle.cameras[k].free[Bundle::kPrincipal] = n_images >= kFewestForPrincipal;
+    if (n_images < kFewestForPrincipal) ++certificate.n_principal_held;
   }
   for (auto& [id, index] : points) {
     index = bundle.points.size();
