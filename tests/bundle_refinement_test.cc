@@ -320,6 +320,8 @@ TEST(BundleDegeneracy, APlaneSeenSquareHoldsTheFocalLength) {
 TEST(BundleDegeneracy, ImagesThatTooLittleTiesToTheRestAreNamed) {
   // Two halves that share one point: each could turn and grow about it.
   ColmapModel model = Ring(kRadial);
+  model.points[10].position = {0, 0, 0};
+  Observe(model);
   for (auto& [id, point] : model.points) {
     std::erase_if(point.track,
                   [&, half = id % 2](const auto& element) { return id != 10 && element.first % 2 != half; });
