@@ -157,13 +157,13 @@ std::string Minimise(Bundle& bundle, const ColmapModel& model, const BundleOptio
   if (certificate.before.median_px > scale) {
     const std::vector<Bundle::Camera> cameras = bundle.cameras;
     for (Bundle::Camera& camera : bundle.cameras) camera.free = {false, false, false};
-    if (const std::string failure = solve(2 * certificate.before.median_px); !failure.empty()) return failure;
+    if (std::string failure = solve(2 * certificate.before.median_px); !failure.empty()) return failure;
     bundle.cameras = cameras;
   }
   const bool measured = bundle.images.size() <= kMostImagesForCovariance;
   const std::vector<double> start = bundle.values;
   while (true) {
-    if (const std::string failure = solve(scale); !failure.empty()) return failure;
+    if (std::string failure = solve(scale); !failure.empty()) return failure;
     if (!measured) break;
     const BundleInformation information = MeasureInformation(bundle, scale);
     certificate.deviation_px = DeviationPx(bundle, information.n_free);

@@ -182,8 +182,9 @@ inline ModelErrors Compare(const ColmapModel& model, const ColmapModel& truth) {
   }
   for (const auto& [id, camera] : truth.cameras) {
     const Lens lens(model.cameras.at(id)), true_lens(camera);
-    for (int i = 0; i <= 64; ++i) {
-      const auto ray = true_lens.CameraFromImage({camera.width * (i % 8) / 8.0, camera.height * (i / 8) / 8.0});
+    for (int i = 0; i < 81; ++i) {
+      const int column = i % 9, row = i / 9;
+      const auto ray = true_lens.CameraFromImage({camera.width * column / 8.0, camera.height * row / 8.0});
       if (!ray) continue;
       const auto px = lens.ImageFromCamera(*ray), true_px = true_lens.ImageFromCamera(*ray);
       errors.intrinsics = std::max(errors.intrinsics, px ? (*px - *true_px).norm() / camera.width : HUGE_VAL);

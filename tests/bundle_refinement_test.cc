@@ -288,7 +288,8 @@ TEST(BundleDegeneracy, APlaneSeenSquareHoldsTheFocalLength) {
   ColmapModel truth;
   truth.cameras[1] = {1, CameraModel::kSimplePinhole, 640, 480, {400, 320, 240}};
   for (int i = 0; i < 9; ++i) {
-    const Vector3d center(0.7 * (i % 3), 0.6 * (i / 3), -4 + 0.2 * i);
+    const int column = i % 3, row = i / 3;
+    const Vector3d center(0.7 * column, 0.6 * row, -4 + 0.2 * i);
     AddImage(truth, 1, Eigen::Matrix3d(Eigen::AngleAxisd(0.1 * i, Vector3d::UnitZ())), center);
   }
   std::vector<Vector3d> points = PointsInBall(150, 2, 4);
@@ -323,8 +324,9 @@ TEST(BundleDegeneracy, ImagesThatTooLittleTiesToTheRestAreNamed) {
   model.points[10].position = {0, 0, 0};
   Observe(model);
   for (auto& [id, point] : model.points) {
-    std::erase_if(point.track,
-                  [&, half = id % 2](const auto& element) { return id != 10 && element.first % 2 != half; });
+    std::erase_if(point.track, [shared = id == 10, half = id % 2](const auto& element) {
+      return !shared && element.first % 2 != half;
+    });
   }
   ASSERT_EQ(model.points.at(10).track.size(), model.images.size());
   EXPECT_THAT(Degeneracy(model), HasSubstr("poses that the points do not fix: of photo"));

@@ -176,14 +176,16 @@ TEST(BundleRefinement, OpenStructureIsNamed) {
   halves.points[10].position = Vector3d::Zero();
   Observe(halves);
   for (auto& [id, point] : halves.points) {
-    std::erase_if(point.track, [&, half = id % 2](const auto& e) { return id != 10 && e.first % 2 != half; });
+    std::erase_if(point.track,
+                  [shared = id == 10, half = id % 2](const auto& e) { return !shared && e.first % 2 != half; });
   }
   hold("halves that share one point", halves);
   ColmapModel square;
   square.cameras[1] = {1, CameraModel::kSimplePinhole, 640, 480, {400, 320, 240}};
   for (int i = 0; i < 9; ++i) {
+    const int column = i % 3, row = i / 3;
     AddImage(square, 1, Eigen::Matrix3d(Eigen::AngleAxisd(0.1 * i, Vector3d::UnitZ())),
-             {0.7 * (i % 3), 0.6 * (i / 3), -4 + 0.2 * i});
+             {0.7 * column, 0.6 * row, -4 + 0.2 * i});
   }
   std::vector<Vector3d> points = PointsInBall(150, 2, 4);
   for (Vector3d& point : points) point.z() = 0;
