@@ -5,19 +5,12 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
-#include <optional>
 #include <string>
 #include <vector>
 
-namespace nrff {
+#include "pipeline/progress.h"
 
-// One line of NRFF_PROGRESS_FD (progress.h).
-struct ProgressUpdate {
-  std::string what, unit, text;
-  double done = 0;
-  double total = 0;                    // ≤ 0: unknown
-  std::optional<double> seconds_left;  // nothing: unknown
-};
+namespace nrff {
 
 struct Job {
   std::vector<std::string> command;  // program and arguments

@@ -9,7 +9,6 @@
 
 #include "pipeline/error.h"
 #include "pipeline/files.h"
-#include "pipeline/json.h"
 #include "pipeline/process.h"
 
 namespace nrff {
@@ -24,29 +23,6 @@ sigset_t StopSignals() {
   sigemptyset(&signals);
   for (const int signal : {SIGINT, SIGTERM, SIGHUP}) sigaddset(&signals, signal);
   return signals;
-}
-
-// Nothing for a line that is not of the protocol: progress is no reason to stop a job.
-std::optional<ProgressUpdate> ParseProgress(std::string_view line) {
-  const Json json = Json::parse(line, nullptr, /*allow_exceptions=*/false);
-  if (!json.is_object()) return {};
-  const auto text = [&](const char* key) {
-    const auto found = json.find(key);
-    return found != json.end() && found->is_string() ? found->get<std::string>() : std::string();
-  };
-  const auto number = [&](const char* key) -> std::optional<double> {
-    const auto found = json.find(key);
-    if (found == json.end() || !found->is_number()) return {};
-    return found->get<double>();
-  };
-  ProgressUpdate update;
-  update.what = text("what");
-  update.unit = text("unit");
-  update.text = text("text");
-  update.done = number("done").value_or(0);
-  update.total = number("total").value_or(0);
-  update.seconds_left = number("seconds_left");
-  return update;
 }
 
 JobResult ResultOf(const ProcessResult& process, const std::string& last_error) {

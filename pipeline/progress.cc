@@ -79,6 +79,28 @@ void Progress::Write(double done, double seconds_left, const std::string& text, 
   std::fflush(stderr);
 }
 
+std::optional<ProgressUpdate> ParseProgress(std::string_view line) {
+  const Json json = Json::parse(line, nullptr, /*allow_exceptions=*/false);
+  if (!json.is_object()) return {};
+  const auto text = [&](const char* key) {
+    const auto found = json.find(key);
+    return found != json.end() && found->is_string() ? found->get<std::string>() : std::string();
+  };
+  const auto number = [&](const char* key) -> std::optional<double> {
+    const auto found = json.find(key);
+    if (found == json.end() || !found->is_number()) return {};
+    return found->get<double>();
+  };
+  ProgressUpdate update;
+  update.what = text("what");
+  update.unit = text("unit");
+  update.text = text("text");
+  update.done = number("done").value_or(0);
+  update.total = number("total").value_or(0);
+  update.seconds_left = number("seconds_left");
+  return update;
+}
+
 std::string FormatSeconds(double seconds) {
   char text[64];
   const long whole = std::lround(std::fmax(seconds, 0));

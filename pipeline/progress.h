@@ -6,7 +6,9 @@
 #pragma once
 
 #include <chrono>
+#include <optional>
 #include <string>
+#include <string_view>
 
 namespace nrff {
 
@@ -32,6 +34,17 @@ class Progress {
   std::chrono::steady_clock::time_point start_, last_write_;
   bool finished_ = false;
 };
+
+// One line of NRFF_PROGRESS_FD.
+struct ProgressUpdate {
+  std::string what, unit, text;
+  double done = 0;
+  double total = 0;                    // ≤ 0: unknown
+  std::optional<double> seconds_left;  // nothing: unknown
+};
+
+// Nothing for a line that is not of the protocol: progress is no reason to stop a job.
+std::optional<ProgressUpdate> ParseProgress(std::string_view line);
 
 // "1 h 02 min", "3 min 05 s", "12 s"
 std::string FormatSeconds(double seconds);

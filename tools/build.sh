@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Configures and builds one preset: tools/build.sh [cpu|cuda|asan|tidy]
+# Configures and builds one preset: tools/build.sh [cpu|cuda|asan|tidy|fuzz]
 set -euo pipefail
 cd "$(dirname "$0")/.."
 preset=${1:-cpu}

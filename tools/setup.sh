@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Installs what the build and the pipeline need, and only what is missing: Debian packages, and libtorch from its wheel.
-# Says what it installs; does nothing, and needs no network, when everything is there.
+# Says what it installs; does nothing, and needs no network, when everything is there. For the preset `fuzz`
+# (tools/setup.sh fuzz) that is clang with its run-time libraries, and no libtorch.
 set -euo pipefail
 root=$(cd "$(dirname "$0")/.." && pwd)
 
@@ -14,6 +15,7 @@ packages=(
   # run
   colmap ffmpeg
 )
+[ "${1:-cpu}" != fuzz ] || packages+=(clang-14 libclang-rt-14-dev llvm-14)
 missing=()
 for package in "${packages[@]}"; do
   [ "$(dpkg-query -W -f '${db:Status-Status}' "$package" 2>/dev/null)" = installed ] || missing+=("$package")
@@ -38,6 +40,8 @@ if [ ${#missing[@]} -gt 0 ]; then
     exit 4
   fi
 fi
+
+[ "${1:-cpu}" != fuzz ] || exit 0
 
 # libtorch: the wheel's libraries and headers, unpacked; nothing of it is installed into Python.
 torch_dir=${NRFF_DEPS:-$HOME/.cache/nrff}/torch-2.11.0
