@@ -3,6 +3,8 @@
 #include <optional>
 #include <stdexcept>
 
+#include "pipeline/files.h"
+
 namespace nrff {
 namespace {
 
@@ -72,7 +74,7 @@ class Message {
 std::string StringOf(std::string_view bytes, uint64_t number) {
   Message message(bytes);
   while (const auto field = message.Next()) {
-    if (field->number == number) return std::string(field->bytes);
+    if (field->number == number) return EscapePath(field->bytes);
   }
   return {};
 }
@@ -82,7 +84,7 @@ OnnxTensor ReadTensor(std::string_view bytes) {
   uint64_t type = 0;
   Message message(bytes);
   while (const auto field = message.Next()) {
-    if (field->number == kTensorName) tensor.name = field->bytes;
+    if (field->number == kTensorName) tensor.name = EscapePath(field->bytes);
     if (field->number == kTensorRawData) tensor.bytes = field->bytes;
     if (field->number == kTensorType) type = field->value;
     if (field->number != kTensorDims) continue;

@@ -11,6 +11,7 @@
 
 namespace nrff {
 
+// Names and metadata are escaped (EscapePath), as they go into messages and manifests.
 struct OnnxTensor {
   std::string name;
   std::vector<int64_t> shape;

@@ -109,8 +109,8 @@ OccupancyGrid ReadOccupancy(const SafetensorsFile& file) {
 
 Json ParseMetadata(const SafetensorsFile& file, const char* key) {
   try {
-    return Json::parse(file.Metadata(key));
-  } catch (const Json::exception& error) {
+    return ParseJson(file.Metadata(key));
+  } catch (const JsonSyntaxError& error) {
     throw CorruptError(EscapePath(file.path()) + ": the metadata '" + key + "' is not JSON (" + error.what() + ")");
   }
 }

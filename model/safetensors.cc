@@ -10,8 +10,8 @@
 #include <cerrno>
 #include <cstring>
 #include <limits>
-#include <set>
 #include <stdexcept>
+#include <string_view>
 
 #include "pipeline/error.h"
 #include "pipeline/files.h"
@@ -48,26 +48,15 @@ std::string ShapeText(const std::vector<int64_t>& shape) {
   return text + "]";
 }
 
-// Header text → JSON; repeated keys, which a JSON object would silently swallow, are refused.
-Json ParseHeader(const std::filesystem::path& path, const char* begin, const char* end) {
-  std::vector<std::set<std::string>> open_objects;
-  std::string repeated;
-  const auto watch = [&](int, Json::parse_event_t event, Json& value) {
-    if (event == Json::parse_event_t::object_start) open_objects.emplace_back();
-    if (event == Json::parse_event_t::object_end) open_objects.pop_back();
-    if (event == Json::parse_event_t::key && !open_objects.back().insert(value.get<std::string>()).second) {
-      repeated = value.get<std::string>();
-    }
-    return true;
-  };
+// Repeated keys, which a JSON object would silently swallow, are refused.
+Json ParseHeader(const std::filesystem::path& path, std::string_view text) {
   Json header;
   try {
-    header = Json::parse(begin, end, watch);
-  } catch (const Json::exception& error) {
+    header = ParseJson(text, RepeatedKeys::kRefuse);
+  } catch (const JsonSyntaxError& error) {
     ThrowCorrupt(path, std::string("the header is not valid JSON (") + error.what() + ")");
   }
   if (!header.is_object()) ThrowCorrupt(path, "the header is not a JSON object");
-  if (!repeated.empty()) ThrowCorrupt(path, "the header has the key '" + repeated + "' twice");
   return header;
 }
 
@@ -129,7 +118,7 @@ void SafetensorsFile::Parse() {
                             std::to_string(size_));
   }
   const char* text = reinterpret_cast<const char*>(bytes_ + kLengthBytes);
-  const Json header = ParseHeader(path_, text, text + header_bytes);
+  const Json header = ParseHeader(path_, {text, header_bytes});
   const std::byte* data = bytes_ + kLengthBytes + header_bytes;
   const int64_t data_bytes = int64_t(size_ - kLengthBytes - header_bytes);
 

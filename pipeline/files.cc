@@ -21,6 +21,7 @@ namespace nrff {
 namespace fs = std::filesystem;
 namespace {
 
+constexpr size_t kLongestFileName = 200;   // file systems allow 255 bytes
 constexpr char kTemporaryMark[] = ".tmp";  // before the process's number
 
 std::string ErrnoText() { return std::strerror(errno); }
@@ -229,6 +230,11 @@ fs::path CaptureFolderName(const fs::path& capture) {
   const bool generic = name == "images" || name == "photos" || name == "input" || name == "frames";
   const fs::path parent = capture.parent_path().filename();
   return generic && !parent.empty() ? parent : name;
+}
+
+bool IsFileName(std::string_view name) {
+  const bool plain = std::none_of(name.begin(), name.end(), [](unsigned char c) { return c < 0x20 || c == '/'; });
+  return plain && !name.empty() && name.size() <= kLongestFileName && name != "." && name != "..";
 }
 
 std::string EscapePath(const fs::path& path) {

@@ -45,6 +45,9 @@ inline constexpr char kWorkspaceMarker[] = "nrff-workspace.json";
 // "photos", "input", "frames").
 std::filesystem::path CaptureFolderName(const std::filesystem::path& capture);
 
+// Whether files may be called so in any folder: not empty, no path, no control characters, room for an extension.
+bool IsFileName(std::string_view name);
+
 // Reversible text form of a file name that may hold any byte: '%', control characters and bytes that are not valid
 // UTF-8 become %XX. What JSON files, logs and reports show.
 std::string EscapePath(const std::filesystem::path& path);

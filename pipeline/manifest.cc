@@ -38,6 +38,15 @@ uint64_t PeakMemoryBytes() {
   return peak;
 }
 
+std::vector<HashedPath> HashedPathsAt(const Json& json, const char* key, const std::string& where) {
+  std::vector<HashedPath> paths;
+  for (const Json& item : Get<std::vector<Json>>(json, key, where)) {
+    paths.push_back({Get<std::string>(item, "path", where), Get<std::string>(item, "hash", where),
+                     Get<uint64_t>(item, "size_bytes", where)});
+  }
+  return paths;
+}
+
 std::string AttemptKey(const Manifest& manifest) {
   return HashBytes(Json{manifest.kind, manifest.version, manifest.params, manifest.inputs}.dump());
 }
@@ -66,12 +75,6 @@ void to_json(Json& json, const HashedPath& value) {
   json = {{"path", value.path}, {"hash", value.hash}, {"size_bytes", value.size_bytes}};
 }
 
-void from_json(const Json& json, HashedPath& value) {
-  json.at("path").get_to(value.path);
-  json.at("hash").get_to(value.hash);
-  json.at("size_bytes").get_to(value.size_bytes);
-}
-
 void to_json(Json& json, const Manifest& value) {
   json = {{"schema_version", kManifestSchemaVersion},
           {"kind", value.kind},
@@ -87,31 +90,26 @@ void to_json(Json& json, const Manifest& value) {
           {"host", value.host}};
 }
 
-void from_json(const Json& json, Manifest& value) {
-  json.at("kind").get_to(value.kind);
-  json.at("producer").get_to(value.producer);
-  json.at("version").get_to(value.version);
-  json.at("params").get_to(value.params);
-  json.at("inputs").get_to(value.inputs);
-  json.at("outputs").get_to(value.outputs);
-  value.facts = json.at("facts");
-  json.at("decisions").get_to(value.decisions);
-  json.at("seconds").get_to(value.seconds);
-  json.at("peak_memory_bytes").get_to(value.peak_memory_bytes);
-  value.host = json.at("host");
-}
-
 std::optional<Manifest> ReadManifest(const fs::path& artifact_dir) {
   const fs::path path = artifact_dir / kManifestName;
   std::error_code error;
   if (!fs::exists(path, error)) return std::nullopt;
   const Json json = ReadJson(path);
-  CheckSchemaVersion(json, kManifestSchemaVersion, EscapePath(path));
-  try {
-    return json.get<Manifest>();
-  } catch (const nlohmann::json::exception& reason) {
-    throw CorruptError(EscapePath(path) + " is not a manifest: " + reason.what());
-  }
+  const std::string where = EscapePath(path);
+  CheckSchemaVersion(json, kManifestSchemaVersion, where);
+  Manifest manifest;
+  manifest.kind = Get<std::string>(json, "kind", where);
+  manifest.producer = Get<std::string>(json, "producer", where);
+  manifest.version = Get<std::string>(json, "version", where);
+  manifest.params = Get<Params>(json, "params", where);
+  manifest.inputs = HashedPathsAt(json, "inputs", where);
+  manifest.outputs = HashedPathsAt(json, "outputs", where);
+  manifest.facts = Get<Json>(json, "facts", where);
+  manifest.decisions = Get<std::vector<Decision>>(json, "decisions", where);
+  manifest.seconds = Get<double>(json, "seconds", where);
+  manifest.peak_memory_bytes = Get<uint64_t>(json, "peak_memory_bytes", where);
+  manifest.host = Get<Json>(json, "host", where);
+  return manifest;
 }
 
 std::string PayloadDamage(const fs::path& artifact_dir, const Manifest& manifest) {

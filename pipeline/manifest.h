@@ -49,9 +49,7 @@ struct Manifest {
 };
 
 void to_json(Json& json, const HashedPath& value);
-void from_json(const Json& json, HashedPath& value);
 void to_json(Json& json, const Manifest& value);
-void from_json(const Json& json, Manifest& value);
 
 // Nothing when there is no manifest; throws CorruptError when there is one that cannot be read or is too new.
 std::optional<Manifest> ReadManifest(const std::filesystem::path& artifact_dir);

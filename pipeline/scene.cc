@@ -47,7 +47,7 @@ void CheckSimilarity(const Mat4& m, bool rigid, const std::string& where) {
   constexpr double kTolerance = 1e-5;
   const double largest_skew = std::max({std::abs(dot(a, b)), std::abs(dot(a, c)), std::abs(dot(b, c)),
                                         std::abs(dot(b, b) - scale2), std::abs(dot(c, c) - scale2)});
-  if (!(scale2 > 0) || !(largest_skew <= kTolerance * scale2) || !(determinant > 0) ||
+  if (!(scale2 > 0) || !std::isfinite(scale2) || !(largest_skew <= kTolerance * scale2) || !(determinant > 0) ||
       (rigid && std::abs(scale2 - 1) > kTolerance)) {
     throw InputError(where + " is not a right-handed " + (rigid ? "rigid transform" : "similarity") +
                      ": run the pose stage again");
@@ -128,10 +128,14 @@ Scene LoadScene(const fs::path& dir) {
   const uint64_t pack_bytes = fs::file_size(dir / kPackFile, error);
   if (error) throw CorruptError(EscapePath(dir / kPackFile) + " is missing: run the pose stage again");
   std::set<std::string> ids;
-  for (const Json& item : Get<Json>(json, "views", where)) {
+  for (const Json& item : Get<std::vector<Json>>(json, "views", where)) {
     View view;
     view.id = Get<std::string>(item, "id", where);
-    const std::string view_where = where + ": view " + view.id;
+    const std::string view_where = where + ": view " + EscapePath(view.id);
+    if (!IsFileName(view.id)) {
+      throw CorruptError(view_where +
+                         " has an id that is no file name, expected one as 000012: run the pose stage again");
+    }
     view.name = Get<std::string>(item, "name", view_where);
     view.split = ParseName<Split>(item, "split", kSplitNames, view_where);
     view.width = Get<int>(item, "width", view_where);

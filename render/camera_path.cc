@@ -156,6 +156,7 @@ View NerfstudioFrame(const Json& entry, const Scene& scene, const PathOptions& o
     if (!(degrees > 0 && degrees < 180))
       throw InputError(where + ": \"fov\" must be a number of degrees between 0 and 180");
     view.fx = view.fy = 0.5 * view.height / std::tan(0.5 * degrees * kPi / 180);
+    if (!std::isfinite(view.fx)) throw InputError(where + ": \"fov\" is too small a number of degrees");
     view.cx = 0.5 * view.width;
     view.cy = 0.5 * view.height;
   }

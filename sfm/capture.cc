@@ -71,6 +71,17 @@ CaptureImage ImageFromJson(const Json& json, const std::string& where) {
   info.exposure_seconds = GetOptional<double>(json, "exposure_seconds", where);
   info.f_number = GetOptional<double>(json, "f_number", where);
   info.iso = GetOptional<int>(json, "iso", where);
+  const std::string photo = where + ": photo " + EscapePath(image.id);
+  if (!IsFileName(image.id)) {
+    throw CorruptError(photo + " has an id that is no file name, expected one as 000012; run ingest again");
+  }
+  if (info.width < 1 || info.height < 1 || info.orientation < 1 || info.orientation > 8 ||
+      (info.channels != 3 && info.channels != 4) || (info.bit_depth != 8 && info.bit_depth != 16)) {
+    throw CorruptError(photo + " is " + std::to_string(info.width) + "×" + std::to_string(info.height) + " px with " +
+                       std::to_string(info.channels) + " channels of " + std::to_string(info.bit_depth) +
+                       " bits and orientation " + std::to_string(info.orientation) +
+                       ", which no photo is; run ingest again");
+  }
   return image;
 }
 
@@ -110,8 +121,10 @@ Capture LoadCapture(const std::filesystem::path& dir) {
   capture.ordered = Get<bool>(json, "ordered", where);
   capture.background = ParseBackground(json, where);
   capture.box = GetOptional<std::array<double, 6>>(json, "box", where);
-  for (const Json& image : Get<Json>(json, "images", where)) capture.images.push_back(ImageFromJson(image, where));
-  for (const Json& file : Get<Json>(json, "rejected", where)) {
+  for (const Json& image : Get<std::vector<Json>>(json, "images", where)) {
+    capture.images.push_back(ImageFromJson(image, where));
+  }
+  for (const Json& file : Get<std::vector<Json>>(json, "rejected", where)) {
     capture.rejected.push_back({Get<std::string>(file, "name", where), Get<std::string>(file, "reason", where)});
   }
   capture.duplicates = Get<std::vector<std::vector<std::string>>>(json, "duplicates", where);

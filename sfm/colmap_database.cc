@@ -3,6 +3,7 @@
 #include <sqlite3.h>
 
 #include <functional>
+#include <memory>
 
 #include "pipeline/error.h"
 #include "pipeline/files.h"
@@ -28,22 +29,22 @@ class Connection {
   Connection& operator=(const Connection&) = delete;
 
   void ForEachRow(const char* query, const std::function<void(sqlite3_stmt*)>& row) {
-    sqlite3_stmt* statement = nullptr;
-    int status = sqlite3_prepare_v2(database_, query, -1, &statement, nullptr);
+    sqlite3_stmt* prepared = nullptr;
+    int status = sqlite3_prepare_v2(database_, query, -1, &prepared, nullptr);
+    const std::unique_ptr<sqlite3_stmt, decltype(&sqlite3_finalize)> statement(prepared, sqlite3_finalize);
     while (status == SQLITE_OK || status == SQLITE_ROW) {
-      status = sqlite3_step(statement);
-      if (status == SQLITE_ROW) row(statement);
+      status = sqlite3_step(statement.get());
+      if (status == SQLITE_ROW) row(statement.get());
     }
-    const std::string reason = sqlite3_errmsg(database_);
-    sqlite3_finalize(statement);
-    if (status != SQLITE_DONE) throw Failure(reason);
+    if (status != SQLITE_DONE) throw Failure(sqlite3_errmsg(database_));
+  }
+
+  Error Failure(const std::string& reason) const {
+    return CorruptError("cannot read COLMAP's database " + EscapePath(file_) + ": " + EscapePath(reason) +
+                        "; remove it and run again");
   }
 
  private:
-  Error Failure(const std::string& reason) const {
-    return CorruptError("cannot read COLMAP's database " + EscapePath(file_) + ": " + reason +
-                        "; remove it and run again");
-  }
   std::filesystem::path file_;
   sqlite3* database_ = nullptr;
 };
@@ -58,10 +59,11 @@ ColmapDatabase ReadColmapDatabase(const std::filesystem::path& file) {
       "SELECT images.image_id, name, camera_id, keypoints.rows FROM images LEFT JOIN keypoints"
       " ON keypoints.image_id = images.image_id",
       [&](sqlite3_stmt* row) {
+        const auto* name = reinterpret_cast<const char*>(sqlite3_column_text(row, 1));
+        if (name == nullptr) throw connection.Failure("it holds an image without a name");
         const bool extracted = sqlite3_column_type(row, 3) != SQLITE_NULL;
-        result.images[uint32_t(sqlite3_column_int64(row, 0))] = {
-            reinterpret_cast<const char*>(sqlite3_column_text(row, 1)), uint32_t(sqlite3_column_int64(row, 2)),
-            extracted ? sqlite3_column_int(row, 3) : -1};
+        result.images[uint32_t(sqlite3_column_int64(row, 0))] = {name, uint32_t(sqlite3_column_int64(row, 2)),
+                                                                 extracted ? sqlite3_column_int(row, 3) : -1};
       });
   connection.ForEachRow("SELECT pair_id, rows FROM two_view_geometries", [&](sqlite3_stmt* row) {
     const int64_t pair = sqlite3_column_int64(row, 0);

@@ -77,6 +77,10 @@ void AddCamera(ColmapModel& model, ColmapCamera camera, const std::string& where
 }
 
 void AddImage(ColmapModel& model, ColmapImage image, const std::string& where) {
+  if (image.name.empty() || image.name.find('\0') != std::string::npos) {
+    throw InputError(where + ": the name of image " + std::to_string(image.id) + ", \"" + EscapePath(image.name) +
+                     "\", is no file's; the file is damaged, export the model again");
+  }
   const double norm = image.rotation.norm();
   if (!std::isfinite(norm) || norm < 1e-6 || !image.translation.allFinite()) {
     throw InputError(where + ": the pose of image " + EscapePath(image.name) +

@@ -27,8 +27,8 @@ CropVolume ReadCropVolume(const std::filesystem::path& file) {
   };
   Json json;
   try {
-    json = Json::parse(ReadFile(file));
-  } catch (const Json::exception& error) {
+    json = ParseJson(ReadFile(file));
+  } catch (const JsonSyntaxError& error) {
     throw refuse(std::string("it is no JSON (") + error.what() + ")");
   }
   if (!json.is_object() || !json.contains("class_name") || json.at("class_name") != "SelectionPolygonVolume")

@@ -2,6 +2,7 @@
 
 #include <OpenImageIO/imageio.h>
 #include <fcntl.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -19,6 +20,7 @@ namespace {
 
 // A header can claim any size; what no camera makes is refused before memory is taken.
 constexpr int64_t kMaxPixels = int64_t{1} << 29;
+constexpr int64_t kMaxPixelsPerByte = 1 << 16;  // of the file: hundreds are what a black photo comes to
 
 // The file is handed to OpenImageIO as /proc/self/fd/N: its own handling of names gives '?' and '#' a meaning.
 class OpenFile {
@@ -33,6 +35,11 @@ class OpenFile {
 
   nrff::Error Error(const std::string& what) const { return InputError(name_ + ": " + what); }
   std::string Path() const { return "/proc/self/fd/" + std::to_string(fd_); }
+
+  int64_t SizeBytes() const {
+    struct stat info {};
+    return fstat(fd_, &info) == 0 ? info.st_size : 0;
+  }
 
   // OpenImageIO's name of the format that the first bytes belong to.
   const char* Format() const {
@@ -74,6 +81,10 @@ class Decoder {
     if (spec_.width <= 0 || spec_.height <= 0 || int64_t{spec_.width} * spec_.height > kMaxPixels) {
       throw file_.Error("claims " + std::to_string(spec_.width) + "×" + std::to_string(spec_.height) +
                         " px; more than 2^29 pixels are taken for damage");
+    }
+    if (int64_t{spec_.width} * spec_.height > file_.SizeBytes() * kMaxPixelsPerByte) {
+      throw file_.Error("claims " + std::to_string(spec_.width) + "×" + std::to_string(spec_.height) + " px in " +
+                        std::to_string(file_.SizeBytes()) + " bytes, which cannot hold them; copy it again");
     }
     const bool alpha_last = spec_.alpha_channel == spec_.nchannels - 1;
     if (!(spec_.nchannels == 1 || spec_.nchannels == 3 ||

@@ -43,6 +43,9 @@ std::vector<double> ReadNumbers(const fs::path& file) {
 // Width and height stay 0 where the file does not give them.
 ColmapCamera ReadIntrinsics(const fs::path& file) {
   const std::vector<double> n = ReadNumbers(file);
+  if (!std::all_of(n.begin(), n.end(), [](double number) { return std::isfinite(number); })) {
+    throw InputError(EscapePath(file) + ": holds NaN or infinity; expected finite numbers");
+  }
   ColmapCamera camera;
   switch (n.size()) {
     case 16:
@@ -62,9 +65,6 @@ ColmapCamera ReadIntrinsics(const fs::path& file) {
     default:
       throw InputError(EscapePath(file) + ": holds " + std::to_string(n.size()) +
                        " numbers; expected a 4×4 matrix or \"f cx cy …\"");
-  }
-  for (double param : camera.params) {
-    if (!std::isfinite(param)) throw InputError(EscapePath(file) + ": holds NaN or infinity");
   }
   if (camera.params[0] <= 0 || camera.params[1] <= 0)
     throw InputError(EscapePath(file) + ": the focal length is not positive");
@@ -86,12 +86,12 @@ std::array<double, 6> ReadBox(const fs::path& file) {
     throw InputError(EscapePath(file) + ": holds " + std::to_string(n.size()) + " numbers; expected min xyz, max xyz");
   std::array<double, 6> box{};
   for (int axis = 0; axis < 3; ++axis) {
-    if (!(n[axis] < n[axis + 3]) || !std::isfinite(n[axis] - n[axis + 3])) {
-      throw InputError(EscapePath(file) + ": the box is empty or not finite; expected min xyz, max xyz");
-    }
     const double center = (n[axis] + n[axis + 3]) / 2, half = (n[axis + 3] - n[axis]) / 2 * kBoxMargin;
     box[axis] = center - half;
     box[axis + 3] = center + half;
+    if (!(box[axis] < box[axis + 3]) || !std::isfinite(box[axis] - box[axis + 3])) {
+      throw InputError(EscapePath(file) + ": the box is empty or not finite; expected min xyz, max xyz");
+    }
   }
   return box;
 }

@@ -30,8 +30,9 @@ void CheckRigid(const Eigen::Matrix4d& matrix, const std::string& where) {
   if (!matrix.allFinite())
     throw InputError(where + ": the pose holds NaN or infinity; expected finite numbers, export the poses again");
   const Eigen::Matrix3d rotation = matrix.topLeftCorner<3, 3>();
-  const double error = (rotation.transpose() * rotation - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff();
-  if (error > kMaxRotationError) {
+  const double error =
+      (rotation.transpose() * rotation - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff<Eigen::PropagateNaN>();
+  if (!(error <= kMaxRotationError)) {
     throw InputError(where + ": the pose's 3×3 part is not a rotation (RᵀR differs from the identity by " +
                      std::to_string(error) + ", allowed is 0.001); remove scale and shear from the poses");
   }
@@ -54,6 +55,9 @@ void AddPosedImage(Source& source, const SourceImage& image, ColmapCamera camera
   posed.name = image.path.native();
   posed.rotation = Eigen::Quaterniond(world_from_camera.topLeftCorner<3, 3>()).conjugate().normalized();
   posed.translation = -(posed.rotation * world_from_camera.topRightCorner<3, 1>());
+  if (!posed.translation.allFinite()) {
+    throw InputError(where + ": the pose's position is too far away to compute with; expected finite coordinates");
+  }
   model.images.emplace(posed.id, std::move(posed));
   source.images.push_back(image);
 }
@@ -89,7 +93,7 @@ RejectedFile Rejection(const std::filesystem::path& root, const std::filesystem:
 
 bool IsFile(const std::filesystem::path& path) {
   std::error_code ignored;
-  return std::filesystem::is_regular_file(path, ignored);
+  return path.native().find('\0') == std::string::npos && std::filesystem::is_regular_file(path, ignored);
 }
 
 std::filesystem::path FindPhoto(const std::filesystem::path& root, const std::filesystem::path& stem) {

@@ -59,8 +59,8 @@ std::string WithoutPythonLiterals(std::string_view text) {
 
 Json ReadPythonJson(const std::filesystem::path& file) {
   try {
-    return Json::parse(WithoutPythonLiterals(ReadFile(file)));
-  } catch (const nlohmann::json::exception& error) {
+    return ParseJson(WithoutPythonLiterals(ReadFile(file)));
+  } catch (const JsonSyntaxError& error) {
     throw InputError(EscapePath(file) + ": is not valid JSON (" + error.what() + "); export it again");
   }
 }
@@ -127,7 +127,7 @@ bool IsFisheye(const Settings& settings) {
       return flag && flag->is_boolean() && flag->get<bool>();
     }
   }
-  throw InputError(settings.where() + ": camera_model " + name +
+  throw InputError(settings.where() + ": camera_model " + EscapePath(name) +
                    " cannot be used; expected PINHOLE, OPENCV or OPENCV_FISHEYE");
 }
 
@@ -148,9 +148,10 @@ ColmapCamera ReadCamera(const Settings& settings, const ImageInfo& photo) {
   if (!fx) fx = fy;
   if (!fx) throw InputError(settings.where() + ": has no focal length; expected fl_x or camera_angle_x");
   if (!fy) fy = fx;
-  if (!(*fx > 0) || !(*fy > 0) || camera.width <= 0 || camera.height <= 0) {
-    throw InputError(settings.where() + ": focal length and size must be positive; found fl_x " + std::to_string(*fx) +
-                     ", w " + std::to_string(camera.width) + ", h " + std::to_string(camera.height));
+  if (!(*fx > 0) || !(*fy > 0) || !std::isfinite(*fx + *fy) || camera.width <= 0 || camera.height <= 0) {
+    throw InputError(settings.where() + ": focal length and size must be positive and finite; found fl_x " +
+                     std::to_string(*fx) + ", w " + std::to_string(camera.width) + ", h " +
+                     std::to_string(camera.height));
   }
   auto number = [&](const char* key) { return settings.Number(key).value_or(0); };
   camera.params = {*fx, *fy, settings.Number("cx").value_or(camera.width / 2.0),
@@ -351,6 +352,11 @@ std::optional<Source> ReadTransformsSource(const std::filesystem::path& root) {
     return {};
   }
   source.evidence += " with " + std::to_string(n_frames) + " frames";
+  if (source.images.empty() && source.rejected.empty()) {
+    throw InputError(
+        EscapePath(root) + ": none of the " + std::to_string(n_frames) +
+        " frames of the transforms file is in its train_filenames and test_filenames; expected names as in file_path");
+  }
   if (source.images.empty()) {
     throw InputError(
         EscapePath(root) + ": none of the " + std::to_string(n_frames) +

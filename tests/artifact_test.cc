@@ -217,6 +217,43 @@ TEST(Artifact, ReportsDamage) {
   }
 }
 
+TEST(Json, RefusesToReadWhatCannotBeUsed) {
+  const TemporaryDirectory dir;
+  const auto message = [&](const std::string& text) {
+    Write(dir.path() / "a", text);
+    try {
+      ReadJson(dir.path() / "a");
+    } catch (const Error& error) {
+      EXPECT_EQ(error.code(), ExitCode::kCorrupt);
+      return std::string(error.what());
+    }
+    return std::string();
+  };
+  // Copying or printing so many levels would end the program.
+  EXPECT_THAT(message(std::string(1'000'000, '[')), testing::HasSubstr("within each other"));
+  EXPECT_EQ(message(std::string(kMostJsonLevels, '[') + std::string(kMostJsonLevels, ']')), "");
+  EXPECT_NO_THROW(Json(message("\"\xFF")).dump());  // no bytes in the message that JSON cannot hold
+  EXPECT_THROW(ParseJson(R"({"a": {"b": 1, "b": 2}})", RepeatedKeys::kRefuse), JsonSyntaxError);
+  EXPECT_NO_THROW(ParseJson(R"({"a": {"b": 1}, "b": 2})", RepeatedKeys::kRefuse));
+}
+
+TEST(Json, WholeNumbersBeyondTheirTypeAreErrors) {
+  const Json json = {{"most", 2147483647}, {"over", 2147483648}, {"minus", -1}, {"half", 0.5}, {"huge", 1e300}};
+  EXPECT_EQ(Get<int>(json, "most", "x"), 2147483647);
+  EXPECT_EQ(Get<int64_t>(json, "over", "x"), 2147483648);
+  EXPECT_EQ(Get<double>(json, "over", "x"), 2147483648.0);
+  for (const char* key : {"over", "half", "huge"}) {
+    EXPECT_EQ(CodeOf([&] { Get<int>(json, key, "x"); }), ExitCode::kCorrupt) << key;
+  }
+  EXPECT_EQ(CodeOf([&] { Get<uint64_t>(json, "minus", "x"); }), ExitCode::kCorrupt);
+}
+
+TEST(Files, FileNamesAreNoPaths) {
+  for (const char* name : {"000012", "a b.png", "..."}) EXPECT_TRUE(IsFileName(name)) << name;
+  for (const std::string name : {"", ".", "..", "a/b", "/a", "a\nb"}) EXPECT_FALSE(IsFileName(name)) << name;
+  EXPECT_FALSE(IsFileName(std::string(300, 'a')));
+}
+
 TEST(Json, RefusesToWriteWhatItCannotHold) {
   const TemporaryDirectory dir;
   EXPECT_EQ(CodeOf([&] { WriteJson(dir.path() / "a", {{"x", {1.0, std::nan("")}}}); }), ExitCode::kInput);

@@ -105,6 +105,16 @@ TEST_F(IngestTest, NoneOfTheFramesExistingIsAnError) {
   EXPECT_THAT(ErrorOf(), AllOf(HasSubstr("none of the 3 frames"), HasSubstr("elsewhere/00.png")));
 }
 
+TEST_F(IngestTest, SplitsThatNameNoFrameAreAnError) {
+  WritePhotos(3);
+  Write("transforms.json", Json{{"camera_angle_x", 0.8},
+                                {"frames", RingFrames(3, "photo_")},
+                                {"train_filenames", {"elsewhere/00.png"}},
+                                {"test_filenames", {"elsewhere/01.png"}}}
+                               .dump());
+  EXPECT_THAT(ErrorOf(), AllOf(HasSubstr("none of the 3 frames"), HasSubstr("train_filenames")));
+}
+
 TEST_F(IngestTest, NerfstudioIntrinsicsPerFrameSplitsAndAppliedTransformAreUnderstood) {
   WritePhotos(4);
   Json frames = RingFrames(4, "photo_");
