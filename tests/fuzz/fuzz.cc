@@ -4,7 +4,6 @@
 #include <cstdlib>
 #include <fstream>
 
-#include "pipeline/json.h"
 #include "tests/temporary_directory.h"
 
 extern "C" int LLVMFuzzerInitialize(int*, char***) {
@@ -71,6 +70,16 @@ void RequireText(const std::string& text, const std::string& file) {
   if (!is_utf8 || text.find(file) == std::string::npos) std::fprintf(stderr, "the error's text: %s\n", text.c_str());
   Require(is_utf8, "an error's text is UTF-8");
   Require(text.find(file) != std::string::npos, "an error's text names the file");
+}
+
+void RequireKept(const Json& read, const Json& written) {
+  if (written.is_object()) {
+    for (const auto& [key, value] : written.items()) RequireKept(read.at(key), value);
+  } else if (written.is_array()) {
+    for (size_t i = 0; i < written.size(); ++i) RequireKept(read.at(i), written[i]);
+  } else {
+    Require(read == written, "a value is read as it is in the file");
+  }
 }
 
 }  // namespace nrff::fuzz

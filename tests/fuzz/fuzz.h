@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "pipeline/error.h"
+#include "pipeline/json.h"
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size);
 
@@ -41,6 +42,9 @@ std::vector<std::string_view> Split(const uint8_t* data, size_t size, size_t n);
 void Require(bool holds, const char* law);
 // Requires of an error's text that it names `file` and is UTF-8, as it goes into JSON files and on terminals.
 void RequireText(const std::string& text, const std::string& file);
+
+// Requires of what was read of the file `read` and written again that it is all in `read`: numbers have not changed.
+void RequireKept(const Json& read, const Json& written);
 
 // What `parse` returns; nothing where it throws an Error. `file`: what the error's text has to name.
 template <typename Parse>

@@ -29,6 +29,9 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   const auto read = [&] { return ReadManifest(fuzz::Folder()).value(); };
   const auto manifest = fuzz::ParseOrError(file, read);
   if (!manifest) return 0;
+  const Json read_file = ReadJson(file);
+  fuzz::RequireKept(read_file["facts"], manifest->facts);
+  fuzz::RequireKept(read_file["outputs"], manifest->outputs);
   static_cast<void>(PayloadDamage(fuzz::Folder(), *manifest));
   WriteJson(file, *manifest);
   fuzz::Require(Json(read()) == Json(*manifest), "a manifest that is written is read as it was");

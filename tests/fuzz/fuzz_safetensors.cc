@@ -48,9 +48,9 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   const auto file = fuzz::ParseOrError(path, [&] { return std::make_shared<SafetensorsFile>(path); });
   if (!file) return 0;
   std::vector<TensorToWrite> tensors;
-  for (const auto& [name, tensor] : (*file)->tensors()) {
-    fuzz::ParseOrError(path, [&] { return (*file)->Values<float>(name); });
-    tensors.push_back({name, tensor.dtype, tensor.shape, tensor.data});
+  for (const auto& entry : (*file)->tensors()) {
+    fuzz::ParseOrError(path, [&] { return (*file)->Values<float>(entry.first); });
+    tensors.push_back({entry.first, entry.second.dtype, entry.second.shape, entry.second.data});
   }
   WriteSafetensors(copy, tensors, (*file)->metadata());
   fuzz::RequireSame(**file, SafetensorsFile(copy));

@@ -15,6 +15,9 @@ void RequireLaws(const Scene& scene) {
     return std::all_of(matrix.begin(), matrix.end(), [](double value) { return std::isfinite(value); });
   };
   Require(finite(scene.scene_from_world), "scene_from_world is finite");
+  const Mat4 world_from_scene = InverseSimilarity(scene.scene_from_world);
+  Require(std::hypot(world_from_scene[0], world_from_scene[1], world_from_scene[2]) > 0,
+          "scene_from_world has an inverse");
   for (const View& view : scene.views) {
     Require(finite(view.scene_from_camera), "a view's pose is finite");
     Require(view.width > 0 && view.height > 0, "a view has pixels");
@@ -61,7 +64,9 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   const auto scene = fuzz::ParseOrError(folder / kSceneFile, [&] { return LoadScene(folder); });
   if (!scene) return 0;
   fuzz::RequireLaws(*scene);
+  const Json read = ReadJson(folder / kSceneFile);
   SaveScene(*scene, folder);
+  fuzz::RequireKept(read["views"], ReadJson(folder / kSceneFile)["views"]);
   const std::string written = ReadFile(folder / kSceneFile);
   SaveScene(LoadScene(folder), folder);
   fuzz::Require(ReadFile(folder / kSceneFile) == written, "a scene that is written is read as it was");
