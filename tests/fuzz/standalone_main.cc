@@ -22,9 +22,13 @@
 #include "tests/fuzz/fuzz.h"
 
 #ifdef __SANITIZE_ADDRESS__
-// As errors of this program, so that the input is kept.
-extern "C" const char* __asan_default_options() { return "abort_on_error=1:max_allocation_size_mb=512"; }  // NOLINT
-extern "C" const char* __ubsan_default_options() { return "abort_on_error=1:print_stacktrace=1"; }         // NOLINT
+// Ends by a signal, so that the input is kept. What C libraries take too much of is theirs to refuse.
+extern "C" const char* __asan_default_options() {  // NOLINT(bugprone-reserved-identifier)
+  return "abort_on_error=1:max_allocation_size_mb=512:allocator_may_return_null=1";
+}
+extern "C" const char* __ubsan_default_options() {  // NOLINT(bugprone-reserved-identifier)
+  return "abort_on_error=1:print_stacktrace=1";
+}
 #endif
 extern "C" int LLVMFuzzerInitialize(int* argc, char*** argv);
 
