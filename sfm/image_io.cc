@@ -41,6 +41,24 @@ class OpenFile {
     return fstat(fd_, &info) == 0 ? info.st_size : 0;
   }
 
+  // Of a PNG: libpng takes, and fills, as much memory as a chunk says it is long before it looks for the bytes. Pixels
+  // (IDAT) it reads piece by piece, and says itself what is missing.
+  void CheckPngChunks() const {
+    constexpr int64_t kSignatureBytes = 8, kChecksumBytes = 4;
+    const int64_t n_bytes = SizeBytes();
+    std::array<uint8_t, 8> head{};  // length, big-endian, and name
+    for (int64_t at = kSignatureBytes; pread(fd_, head.data(), head.size(), at) == static_cast<ssize_t>(head.size());) {
+      const int64_t length = int64_t{head[0]} << 24 | head[1] << 16 | head[2] << 8 | head[3];
+      const std::string_view name(reinterpret_cast<const char*>(&head[4]), 4);
+      at += static_cast<ssize_t>(head.size());
+      if (length > n_bytes - at && name != "IDAT") {
+        throw Error("is truncated or damaged (a chunk of " + std::to_string(length) + " bytes where " +
+                    std::to_string(n_bytes - at) + " are left); copy it again");
+      }
+      at += length + kChecksumBytes;
+    }
+  }
+
   // OpenImageIO's name of the format that the first bytes belong to.
   const char* Format() const {
     std::array<char, 12> head{};
@@ -69,6 +87,7 @@ class Decoder {
  public:
   explicit Decoder(const std::filesystem::path& path) : file_(path) {
     const char* format = file_.Format();
+    if (std::string_view(format) == "png") file_.CheckPngChunks();
     input_ = OIIO::ImageInput::create(format);
     if (!input_) {
       OIIO::geterror();

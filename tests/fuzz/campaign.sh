@@ -38,13 +38,10 @@ while read -r target dictionary; do
   inputs=("$corpus" "$build/seeds/$target")
   [ ! -d "$root/tests/fuzz/regressions/$target" ] || inputs+=("$root/tests/fuzz/regressions/$target")
   before=$(find "$findings" -type f | wc -l)
-  fast_unwind=1 malloc_limit_mb=256
-  if [ "$target" = image ]; then
-    fast_unwind=0         # OpenImageIO's leak is known by a frame beyond libraries without frame pointers
-    malloc_limit_mb=2560  # libpng takes addresses, not memory, on a chunk's word
-  fi
+  fast_unwind=1
+  [ "$target" != image ] || fast_unwind=0  # OpenImageIO's leak is known by a frame beyond those without frame pointers
   ASAN_OPTIONS=quarantine_size_mb=16:malloc_context_size=20:fast_unwind_on_malloc=$fast_unwind \
-    "$program" -max_total_time="$seconds" -timeout=10 -rss_limit_mb=1024 -malloc_limit_mb=$malloc_limit_mb -max_len=16384 \
+    "$program" -max_total_time="$seconds" -timeout=10 -rss_limit_mb=1024 -malloc_limit_mb=256 -max_len=16384 \
     -dict="$root/tests/fuzz/dictionaries/$dictionary.dict" -artifact_prefix="$findings/" -print_final_stats=1 \
     "${inputs[@]}" >"$log" 2>&1 || true
   found=$(($(find "$findings" -type f | wc -l) - before))

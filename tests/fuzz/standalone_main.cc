@@ -22,9 +22,9 @@
 #include "tests/fuzz/fuzz.h"
 
 #ifdef __SANITIZE_ADDRESS__
-// Ends by a signal, so that the input is kept. What C libraries take too much of is theirs to refuse.
+// Ends by a signal, so that the input is kept.
 extern "C" const char* __asan_default_options() {  // NOLINT(bugprone-reserved-identifier)
-  return "abort_on_error=1:max_allocation_size_mb=512:allocator_may_return_null=1";
+  return "abort_on_error=1:max_allocation_size_mb=512";
 }
 extern "C" const char* __ubsan_default_options() {  // NOLINT(bugprone-reserved-identifier)
   return "abort_on_error=1:print_stacktrace=1";
