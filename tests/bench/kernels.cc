@@ -280,13 +280,15 @@ struct Networks {
   }
 };
 
+// bf16: as pictures are made; float's peak all the same.
 void Shading(State& state) {
   Networks made(state.range(0) != 0);
-  PackedNetworks packed;
-  packed.Pack(made.networks, true);
-  constexpr int64_t kSamples = 224;
   const bool backward = state.range(1) != 0;
-  ShadingTile tile(made.networks, backward);
+  const GemmPrecision precision = state.range(2) != 0 ? GemmPrecision::kBf16 : GemmPrecision::kFloat;
+  PackedNetworks packed;
+  packed.Pack(made.networks, backward, precision);
+  constexpr int64_t kSamples = 224;
+  ShadingTile tile(made.networks, backward, precision);
   tile.Reserve(kSamples);
   ShadingGradients gradients(made.networks);
   const auto features = Uniforms(made.networks.spatial.front().n_in * tile.stride(), -1, 1, 1);
@@ -418,7 +420,13 @@ NRFF_BENCH(AppearanceGridBackward, ->ArgName("paper")->Arg(0)->Arg(1));
 NRFF_BENCH(LinearForward, NRFF_LAYERS);
 NRFF_BENCH(LinearBackwardInput, NRFF_LAYERS);
 NRFF_BENCH(LinearBackwardWeight, NRFF_LAYERS);
-NRFF_BENCH(Shading, ->ArgNames({"paper", "backward"})->Args({0, 0})->Args({0, 1})->Args({1, 0})->Args({1, 1}));
+NRFF_BENCH(Shading, ->ArgNames({"paper", "backward", "bf16"})
+                        ->Args({0, 0, 0})
+                        ->Args({0, 1, 0})
+                        ->Args({1, 0, 0})
+                        ->Args({1, 1, 0})
+                        ->Args({0, 0, 1})
+                        ->Args({1, 0, 1}));
 NRFF_BENCH(March, );
 NRFF_BENCH(WeightsForward, );
 NRFF_BENCH(WeightsBackward, );
