@@ -35,6 +35,7 @@ Eigen::MatrixXd Differences(const ceres::CostFunction& cost, std::vector<std::ve
       for (const int side : {0, 1}) {
         value = side == 0 ? at - h : at + h;
         std::vector<const double*> values;
+        values.reserve(blocks.size());
         for (const std::vector<double>& b : blocks) values.push_back(b.data());
         cost.Evaluate(values.data(), residual[side].data(), nullptr);
       }
