@@ -15,12 +15,15 @@
 #include "pipeline/files.h"
 #include "pipeline/json.h"
 #include "sfm/image_io.h"
+#include "sfm/normalise.h"
+#include "sfm/statistics.h"
 
 namespace nrff {
 namespace {
 
-constexpr double kSyntheticHalfExtent = 1.5;  // of the box that the NeRF-synthetic objects lie in, world units
-constexpr double kSyntheticFarthest = 8;      // median camera from the origin, of copies of that data set, world units
+// Of the box that the NeRF-synthetic objects lie in, in distances of the cameras from the point that they look at: ±1.5
+// about the origin, which is 4.0311 away.
+constexpr double kSyntheticHalfExtent = 1.5 / 4.0311;
 
 // OpenGL camera axes ↔ OpenCV's: y and z change sign.
 Eigen::Matrix4d FlipCameraAxes(Eigen::Matrix4d world_from_camera) {
@@ -264,8 +267,6 @@ void AddFrames(const std::filesystem::path& file, std::optional<Split> split, So
       continue;
     }
     if (synthetic && info.channels == 4) {
-      const double e = kSyntheticHalfExtent;
-      source.box = {-e, -e, -e, e, e, e};
       source.background = Background::kWhite;
     }
     pose.topRightCorner<3, 1>() /= applied.scale;
@@ -274,13 +275,19 @@ void AddFrames(const std::filesystem::path& file, std::optional<Split> split, So
   }
 }
 
-// Whether the cameras stand about the data set's box as its own do: a copy in other units, or moved, is not in it.
-bool StandAboutSyntheticBox(const ColmapModel& model) {
+// The data set's box, in the units and at the place of this capture's world; none where the cameras look at no point.
+std::optional<std::array<double, 6>> SyntheticBox(const ColmapModel& model) {
+  std::vector<PosedCamera> cameras;
+  for (const auto& [id, image] : model.images) {
+    cameras.push_back({image.name, image.rotation.conjugate().toRotationMatrix(), image.Center()});
+  }
+  const std::optional<Eigen::Vector3d> focus = FocusPoint(cameras);
+  if (!focus) return {};
   std::vector<double> distances;
-  for (const auto& [id, image] : model.images) distances.push_back(image.Center().cwiseAbs().maxCoeff());
-  const auto middle = distances.begin() + static_cast<std::ptrdiff_t>(distances.size() / 2);
-  std::nth_element(distances.begin(), middle, distances.end());
-  return *middle > kSyntheticHalfExtent && *middle < kSyntheticFarthest;
+  for (const PosedCamera& camera : cameras) distances.push_back((camera.center - *focus).norm());
+  const double half = kSyntheticHalfExtent * Median(std::move(distances));
+  const Eigen::Vector3d low = focus->array() - half, high = focus->array() + half;
+  return std::array{low[0], low[1], low[2], high[0], high[1], high[2]};
 }
 
 Json ToRows(const Eigen::Matrix4d& matrix, int n_rows) {
@@ -363,7 +370,7 @@ std::optional<Source> ReadTransformsSource(const std::filesystem::path& root) {
         " frames of the transforms file has a photo that can be read (the first: " + source.rejected.front().name +
         " " + source.rejected.front().reason + "); put the photos where file_path says");
   }
-  if (source.box && !StandAboutSyntheticBox(*source.model)) source.box.reset();
+  if (source.background == Background::kWhite) source.box = SyntheticBox(*source.model);
   return source;
 }
 

@@ -31,7 +31,7 @@ TEST_F(IngestTest, NerfSyntheticIsReadWithItsOwnSplitAndBox) {
   EXPECT_EQ(manifest_.facts["n_test"], 2);
   EXPECT_EQ(capture.background, Background::kWhite);
   ASSERT_TRUE(capture.box);
-  EXPECT_EQ((*capture.box)[0], -1.5);
+  EXPECT_NEAR((*capture.box)[0], -1.5 * 3 / 4.0311, 1e-9) << "cameras are 3 units away";
   ASSERT_EQ(model_.cameras.size(), 1u);
   const ColmapCamera& camera = model_.cameras.begin()->second;
   EXPECT_EQ(camera.model, CameraModel::kPinhole);
@@ -41,11 +41,10 @@ TEST_F(IngestTest, NerfSyntheticIsReadWithItsOwnSplitAndBox) {
   EXPECT_FALSE(manifest_.decisions[0].needed);
 }
 
-// Its loader's box is in that data set's units.
-TEST_F(IngestTest, NerfSyntheticInOtherUnitsHasNoBox) {
+TEST_F(IngestTest, NerfSyntheticsBoxGoesWithTheWorld) {
   WritePhotos(3, "r_", {.channels = 4});
-  for (const auto& [scale, shift, has_box] :
-       {std::tuple{1., 0., true}, {1e-4, 0., false}, {1e4, 0., false}, {1., 1e6, false}}) {
+  std::array<double, 6> given{};
+  for (const auto& [scale, shift] : {std::pair{1., 0.}, {1e-4, 0.}, {1e4, 0.}, {1., 1e6}}) {
     Json frames = RingFrames(3, "r_");
     for (Json& frame : frames) {
       for (int row = 0; row < 3; ++row) {
@@ -54,7 +53,12 @@ TEST_F(IngestTest, NerfSyntheticInOtherUnitsHasNoBox) {
       }
     }
     Write("transforms.json", Json{{"camera_angle_x", 0.7}, {"frames", frames}}.dump());
-    EXPECT_EQ(RunIngest().box.has_value(), has_box) << scale << " " << shift;
+    const auto box = RunIngest().box;
+    ASSERT_TRUE(box) << scale << " " << shift;
+    if (scale == 1 && shift == 0) given = *box;
+    for (int i = 0; i < 6; ++i) {
+      EXPECT_NEAR((*box)[i], scale * given[i] + shift, 1e-9 * scale + 1e-15 * shift) << scale << " " << shift;
+    }
   }
 }
 
