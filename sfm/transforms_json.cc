@@ -286,6 +286,7 @@ std::optional<std::array<double, 6>> SyntheticBox(const ColmapModel& model) {
   std::vector<double> distances;
   for (const PosedCamera& camera : cameras) distances.push_back((camera.center - *focus).norm());
   const double half = kSyntheticHalfExtent * Median(std::move(distances));
+  if (!(half > 0) || !std::isfinite(half) || !focus->allFinite()) return {};
   const Eigen::Vector3d low = focus->array() - half, high = focus->array() + half;
   return std::array{low[0], low[1], low[2], high[0], high[1], high[2]};
 }
