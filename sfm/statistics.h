@@ -1,3 +1,4 @@
+// Order statistics of a few numbers.
 #pragma once
 
 #include <algorithm>

@@ -20,9 +20,9 @@ Bf16Unit AvailableBf16Unit();
 // Whether the product is made here: there is a unit for its precision, and it is large enough to be worth the packing.
 bool Bf16Pays(const GemmArgs& args);
 
-// A's part of a product (m, k, a, a_row, a_column, precision) made ready; only where Bf16Pays.
-void Bf16Pack(const GemmArgs& args, AlignedWords& words);
+// A's part of a product (m, k, a, a_row, a_column, precision) made ready; only where Bf16CanPack.
 bool Bf16CanPack(const GemmArgs& args);
+void Bf16Pack(const GemmArgs& args, AlignedWords& words);
 
 // Of TileGemm or TileGemmTransposed; only where Bf16Pays.
 void TileGemmBf16(const GemmArgs& args, bool b_transposed);
