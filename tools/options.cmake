@@ -1,4 +1,4 @@
-# Warnings, sanitizers, clang-tidy, and the three ways a target is made here.
+# Warnings, sanitizers, and the three ways a target is made here.
 
 add_library(nrff_options INTERFACE)
 target_include_directories(nrff_options INTERFACE ${PROJECT_SOURCE_DIR})
@@ -12,10 +12,6 @@ if(NRFF_FUZZ)
   target_compile_options(nrff_options INTERFACE ${sanitizers} -fsanitize=fuzzer-no-link -O1 -fno-omit-frame-pointer)
   target_compile_definitions(nrff_options INTERFACE _GLIBCXX_ASSERTIONS)
   target_link_options(nrff_options INTERFACE ${sanitizers})
-endif()
-if(NRFF_TIDY)
-  find_program(CLANG_TIDY clang-tidy REQUIRED)
-  set(CMAKE_CXX_CLANG_TIDY ${CLANG_TIDY} --quiet --warnings-as-errors=*)
 endif()
 
 # Only there, so that another version compiles one file anew.

@@ -16,6 +16,7 @@ packages=(
   colmap ffmpeg
 )
 [ "${1:-cpu}" != fuzz ] || packages+=(clang-14 libclang-rt-14-dev llvm-14)
+[ "${1:-cpu}" != tidy ] || packages+=(clang-tidy)
 missing=()
 for package in "${packages[@]}"; do
   [ "$(dpkg-query -W -f '${db:Status-Status}' "$package" 2>/dev/null)" = installed ] || missing+=("$package")
