@@ -7,15 +7,17 @@
 #include <vector>
 
 #include "pipeline/scene.h"
+#include "render/kernels/depth_ray.h"
 #include "render/volume_renderer.h"
 
 namespace nrff {
 
 class DepthSource {
  public:
-  DepthSource(const Scene& scene, std::vector<SparseDepth> depths);
+  DepthSource(const Scene& scene, const std::vector<SparseDepth>& depths);
 
-  bool empty() const { return depths_.empty(); }
+  bool empty() const { return targets_.empty(); }
+  const std::vector<DepthTarget>& targets() const { return targets_; }
 
   struct Batch {
     Rays rays;               // from the camera through the point
@@ -26,8 +28,7 @@ class DepthSource {
   Batch Draw(int64_t n, uint64_t seed, uint64_t step, const SceneMap& map, double march_step) const;
 
  private:
-  std::vector<SparseDepth> depths_;
-  std::vector<Vec3> centers_;  // of the views' cameras
+  std::vector<DepthTarget> targets_;
 };
 
 }  // namespace nrff

@@ -5,6 +5,7 @@
 #include <algorithm>
 
 #include "pipeline/error.h"
+#include "render/kernels/pixel_ray.h"
 #include "render/kernels/random.h"
 
 namespace nrff {
@@ -55,8 +56,7 @@ PixelSource::Batch PixelSource::At(const Tensor& pixels) const {
     const View& view = views_[pixel[3 * i]];
     const uint64_t index = uint64_t(pixel[3 * i + 2]) * view.width + pixel[3 * i + 1];
     const uint8_t* colour = pack_.Pixels(view) + index * view.channels;
-    const float alpha = view.channels == 4 ? float(colour[3]) / 255 : 1;
-    for (int c = 0; c < 3; ++c) target[3 * i + c] = alpha * float(colour[c]) / 255 + (1 - alpha) * background;
+    PixelColour(colour, view.channels, background, target + 3 * i);
   }
   return batch;
 }

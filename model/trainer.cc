@@ -49,13 +49,13 @@ const Scene& Checked(const Scene& scene) {
 
 }  // namespace
 
-Trainer::Trainer(const Scene& scene, const ImagePack& pack, std::vector<SparseDepth> depths, const Preset& preset,
-                 const TrainOptions& options)
+Trainer::Trainer(const Scene& scene, const ImagePack& pack, const std::vector<SparseDepth>& depths,
+                 const Preset& preset, const TrainOptions& options)
     : scene_(Checked(scene)),
       preset_(preset),
       options_(options),
       pixels_(TrainingViews(scene), pack, BackgroundLevel(scene, preset.train.unknown_background)),
-      depths_(scene, std::move(depths)),
+      depths_(scene, depths),
       background_(BackgroundLevel(scene, preset.train.unknown_background)),
       state_(preset.field, preset.train.occupancy_resolution,
              SceneMap::FromBox(scene.aabb_min, scene.aabb_max, scene.unbounded), options.seed),

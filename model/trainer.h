@@ -30,7 +30,7 @@ class Trainer {
  public:
   // Starts from scratch. Keeps references to scene and pack. Throws InputError when the scene cannot be trained on.
   // `depths`: of scene; may be empty.
-  Trainer(const Scene& scene, const ImagePack& pack, std::vector<SparseDepth> depths, const Preset& preset,
+  Trainer(const Scene& scene, const ImagePack& pack, const std::vector<SparseDepth>& depths, const Preset& preset,
           const TrainOptions& options);
 
   // 0 to 1.

@@ -12,6 +12,8 @@
 #include <cmath>
 #include <limits>
 
+#include "render/kernels/device.h"
+
 namespace nrff {
 
 struct SceneMap {
@@ -52,7 +54,7 @@ struct SceneMap {
   }
 
   // Distance along the ray between neighbouring samples at `scene` for a marching step of `step` (kernels/sampling.h).
-  double StepAt(const double scene[3], const double direction[3], double step) const {
+  NRFF_HOST_DEVICE double StepAt(const double scene[3], const double direction[3], double step) const {
     if (!unbounded) return step;
     double m = 1, squared_speed = 0;
     for (int k = 0; k < 3; ++k) {
@@ -68,7 +70,7 @@ struct SceneMap {
 
   // Field coordinates = ContractionScale(|u|∞)·u in unbounded scenes.
   template <typename Scalar>
-  static Scalar ContractionScale(Scalar m) {
+  NRFF_HOST_DEVICE static Scalar ContractionScale(Scalar m) {
     return m <= 1 ? Scalar(0.5) : Scalar(0.5) * (2 - 1 / m) / m;
   }
 };

@@ -1,4 +1,4 @@
-// Elementary functions that compilers turn into vector code inside a loop. float: polynomials, within 2 ulp where the
+// Elementary functions that compilers turn into vector code inside a loop, the same on a GPU. float: polynomials, within 2 ulp where the
 // result is a normal number; double: the standard library's.
 #pragma once
 
@@ -53,6 +53,12 @@ NRFF_INLINE void FastSoftplus(Scalar x, Scalar& softplus, Scalar& derivative) {
   softplus = positive + FastLog1p(e);
   const Scalar numerator = x > 0 ? Scalar(1) : e;
   derivative = numerator / (1 + e);
+}
+
+// 1 / (1 + e^−x)
+NRFF_INLINE float FastSigmoid(float x) {
+  const float e = FastExp(x > 0 ? -x : x);
+  return (x > 0 ? 1.F : e) / (1 + e);
 }
 
 // x · Φ(x), Φ the standard normal distribution function, and the derivative Φ(x) + x φ(x). Φ is within 2.5e-7; gelu of

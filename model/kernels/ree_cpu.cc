@@ -3,8 +3,8 @@
 #include <numbers>
 #include <stdexcept>
 
-#include "model/kernels/fast_math.h"
 #include "model/kernels/ree.h"
+#include "model/kernels/ree_lobe.h"
 
 namespace nrff {
 
@@ -30,7 +30,7 @@ Lobes MakeLobes(int n_theta, int n_phi) {
 
 namespace {
 
-// The lobes' angles in the scalar type of the work.
+// The lobes in the scalar type of the work.
 template <typename Scalar>
 struct Angles {
   int n;
@@ -44,18 +44,7 @@ struct Angles {
       cos_phi[k] = Scalar(lobes.cos_phi[k]);
     }
   }
-};
-
-// o·axis, o·axis_λ, o·axis_μ of one lobe; `across` is o's component along the axis's projection to the xy plane.
-template <typename Scalar>
-struct Projections {
-  Scalar along, lambda, mu;
-  NRFF_INLINE Projections(const Angles<Scalar>& angles, int k, const Scalar* o) {
-    const Scalar across = o[0] * angles.cos_phi[k] + o[1] * angles.sin_phi[k];
-    along = across * angles.sin_theta[k] + o[2] * angles.cos_theta[k];
-    lambda = across * angles.cos_theta[k] - o[2] * angles.sin_theta[k];
-    mu = o[1] * angles.cos_phi[k] - o[0] * angles.sin_phi[k];
-  }
+  NRFF_INLINE Lobe<Scalar> At(int k) const { return {sin_theta[k], cos_theta[k], sin_phi[k], cos_phi[k]}; }
 };
 
 template <typename Scalar>
@@ -66,14 +55,10 @@ NRFF_INLINE void Forward(const Angles<Scalar>& angles, const Scalar* directions,
     const Scalar o[3] = {directions[3 * i], directions[3 * i + 1], directions[3 * i + 2]};
     Scalar* out = encoding + i * angles.n * kLobeAmplitudes;
     for (int k = 0; k < angles.n; ++k) {
-      const Projections<Scalar> at(angles, k, o);
-      Scalar lambda, mu, unused;
-      FastSoftplus(lobe[k * kLobeParameters + 2] - 1, lambda, unused);
-      FastSoftplus(lobe[k * kLobeParameters + 3] - 1, mu, unused);
-      const Scalar clamped = at.along > 0 ? at.along : Scalar(0);
-      const Scalar response = clamped * FastExp(-lambda * at.lambda * at.lambda - mu * at.mu * at.mu);
-      out[k * kLobeAmplitudes] = lobe[k * kLobeParameters] * response;
-      out[k * kLobeAmplitudes + 1] = lobe[k * kLobeParameters + 1] * response;
+      const LobeResponse<Scalar> at(angles.At(k), o[0], o[1], o[2], lobe[k * kLobeParameters + 2],
+                                    lobe[k * kLobeParameters + 3]);
+      out[k * kLobeAmplitudes] = lobe[k * kLobeParameters] * at.response;
+      out[k * kLobeAmplitudes + 1] = lobe[k * kLobeParameters + 1] * at.response;
     }
   }
 }
@@ -89,29 +74,17 @@ NRFF_INLINE void Backward(const Angles<Scalar>& angles, const Scalar* directions
     const Scalar* d_out = d_encoding + i * angles.n * kLobeAmplitudes;
     Scalar* d_lobe = d_raw + i * angles.n * kLobeParameters;
     for (int k = 0; k < angles.n; ++k) {
-      const Projections<Scalar> at(angles, k, o);
-      Scalar lambda, mu, d_softplus_lambda, d_softplus_mu;
-      FastSoftplus(lobe[k * kLobeParameters + 2] - 1, lambda, d_softplus_lambda);
-      FastSoftplus(lobe[k * kLobeParameters + 3] - 1, mu, d_softplus_mu);
-      const Scalar gaussian = FastExp(-lambda * at.lambda * at.lambda - mu * at.mu * at.mu);
-      const Scalar clamped = at.along > 0 ? at.along : Scalar(0);
-      const Scalar response = clamped * gaussian;
-
-      const Scalar d_response = d_out[k * kLobeAmplitudes] * lobe[k * kLobeParameters] +
-                                d_out[k * kLobeAmplitudes + 1] * lobe[k * kLobeParameters + 1];
-      const Scalar d_exponent = d_response * response;
-      d_lobe[k * kLobeParameters] = d_out[k * kLobeAmplitudes] * response;
-      d_lobe[k * kLobeParameters + 1] = d_out[k * kLobeAmplitudes + 1] * response;
-      d_lobe[k * kLobeParameters + 2] = -d_exponent * at.lambda * at.lambda * d_softplus_lambda;
-      d_lobe[k * kLobeParameters + 3] = -d_exponent * at.mu * at.mu * d_softplus_mu;
-
-      const Scalar d_along = at.along > 0 ? d_response * gaussian : Scalar(0);
-      const Scalar d_lambda = -2 * d_exponent * lambda * at.lambda;
-      const Scalar d_mu = -2 * d_exponent * mu * at.mu;
-      const Scalar d_across = d_along * angles.sin_theta[k] + d_lambda * angles.cos_theta[k];
-      d_x[k] = d_across * angles.cos_phi[k] - d_mu * angles.sin_phi[k];
-      d_y[k] = d_across * angles.sin_phi[k] + d_mu * angles.cos_phi[k];
-      d_z[k] = d_along * angles.cos_theta[k] - d_lambda * angles.sin_theta[k];
+      const LobeResponse<Scalar> at(angles.At(k), o[0], o[1], o[2], lobe[k * kLobeParameters + 2],
+                                    lobe[k * kLobeParameters + 3]);
+      const LobeGradient<Scalar> d(angles.At(k), at, lobe[k * kLobeParameters], lobe[k * kLobeParameters + 1],
+                                   d_out[k * kLobeAmplitudes], d_out[k * kLobeAmplitudes + 1]);
+      d_lobe[k * kLobeParameters] = d.d_a0;
+      d_lobe[k * kLobeParameters + 1] = d.d_a1;
+      d_lobe[k * kLobeParameters + 2] = d.d_raw_lambda;
+      d_lobe[k * kLobeParameters + 3] = d.d_raw_mu;
+      d_x[k] = d.d_x;
+      d_y[k] = d.d_y;
+      d_z[k] = d.d_z;
     }
     Scalar sum_x = 0, sum_y = 0, sum_z = 0;
     for (int k = 0; k < angles.n; ++k) {

@@ -3,6 +3,8 @@
 #include <cstring>
 
 #include "model/kernels/fast_math.h"
+#include "model/kernels/ree_lobe.h"
+#include "model/kernels/reflection.h"
 #include "model/kernels/shading_tile.h"
 #include "model/kernels/simd.h"
 #include "model/kernels/tile_gemm.h"
@@ -29,25 +31,19 @@ NRFF_MULTIVERSION void SumRow(const float* row, int64_t n, float* sum) {
   for (int64_t l = 0; l < kLine; ++l) *sum += partial[l];
 }
 
-// n = −raw/|raw|, c = −d·n, o = 2 c n + d; rows `stride` apart.
+// Rows `stride` apart.
 NRFF_MULTIVERSION void Reflect(const float* raw, const float* direction, int64_t n, int64_t stride, float* normal,
                                float* inverse_norm, float* cosine, float* reflected) {
   NRFF_ROWS_DISTINCT
   for (int64_t s = 0; s < n; ++s) {
-    const float x = raw[s], y = raw[stride + s], z = raw[2 * stride + s];
-    const float norm = std::sqrt(x * x + y * y + z * z);
-    const float inverse = 1 / (norm > 1e-12F ? norm : 1e-12F);
-    const float nx = -x * inverse, ny = -y * inverse, nz = -z * inverse;
-    const float dx = direction[s], dy = direction[stride + s], dz = direction[2 * stride + s];
-    const float c = -(dx * nx + dy * ny + dz * nz);
-    inverse_norm[s] = inverse;
-    normal[s] = nx;
-    normal[stride + s] = ny;
-    normal[2 * stride + s] = nz;
-    cosine[s] = c;
-    reflected[s] = 2 * c * nx + dx;
-    reflected[stride + s] = 2 * c * ny + dy;
-    reflected[2 * stride + s] = 2 * c * nz + dz;
+    const Reflection at(raw[s], raw[stride + s], raw[2 * stride + s], direction[s], direction[stride + s],
+                        direction[2 * stride + s]);
+    inverse_norm[s] = at.inverse_norm;
+    cosine[s] = at.cosine;
+    for (int k = 0; k < 3; ++k) {
+      normal[k * stride + s] = at.normal[k];
+      reflected[k * stride + s] = at.reflected[k];
+    }
   }
 }
 
@@ -57,91 +53,62 @@ NRFF_MULTIVERSION void ReflectBackward(const float* normal, const float* inverse
                                        const float* d_normal, int64_t n, int64_t stride, float* d_raw) {
   NRFF_ROWS_DISTINCT
   for (int64_t s = 0; s < n; ++s) {
-    const float nx = normal[s], ny = normal[stride + s], nz = normal[2 * stride + s];
-    const float ox = d_reflected[s], oy = d_reflected[stride + s], oz = d_reflected[2 * stride + s];
-    const float c = cosine[s], d_c = d_cosine[s] + 2 * (ox * nx + oy * ny + oz * nz);
-    const float gx = d_normal[s] + 2 * c * ox - d_c * direction[s];
-    const float gy = d_normal[stride + s] + 2 * c * oy - d_c * direction[stride + s];
-    const float gz = d_normal[2 * stride + s] + 2 * c * oz - d_c * direction[2 * stride + s];
-    const float along = gx * nx + gy * ny + gz * nz;
-    const float inverse = inverse_norm[s];
-    d_raw[s] = (along * nx - gx) * inverse;
-    d_raw[stride + s] = (along * ny - gy) * inverse;
-    d_raw[2 * stride + s] = (along * nz - gz) * inverse;
+    const int64_t y = stride + s, z = 2 * stride + s;
+    const float at_normal[3] = {normal[s], normal[y], normal[z]};
+    const float at_direction[3] = {direction[s], direction[y], direction[z]};
+    const float d_o[3] = {d_reflected[s], d_reflected[y], d_reflected[z]};
+    const float d_n[3] = {d_normal[s], d_normal[y], d_normal[z]};
+    float d[3];
+    ReflectionBackward(at_normal, inverse_norm[s], cosine[s], at_direction, d_cosine[s], d_o, d_n, d);
+    d_raw[s] = d[0];
+    d_raw[y] = d[1];
+    d_raw[z] = d[2];
   }
 }
 
-// One lobe: o·axis, o·axis_λ and o·axis_μ.
-struct Lobe {
-  float sin_theta, cos_theta, sin_phi, cos_phi;
-  Lobe(const Lobes& lobes, int k)
-      : sin_theta(float(lobes.sin_theta[k])),
-        cos_theta(float(lobes.cos_theta[k])),
-        sin_phi(float(lobes.sin_phi[k])),
-        cos_phi(float(lobes.cos_phi[k])) {}
-  NRFF_INLINE void Project(float x, float y, float z, float& along, float& lambda, float& mu) const {
-    const float across = x * cos_phi + y * sin_phi;
-    along = across * sin_theta + z * cos_theta;
-    lambda = across * cos_theta - z * sin_theta;
-    mu = y * cos_phi - x * sin_phi;
-  }
-};
+Lobe<float> LobeAt(const Lobes& lobes, int k) {
+  return {float(lobes.sin_theta[k]), float(lobes.cos_theta[k]), float(lobes.sin_phi[k]), float(lobes.cos_phi[k])};
+}
 
-NRFF_MULTIVERSION void EncodeLobe(const Lobe& lobe, const float* o, const float* raw, int64_t n, int64_t stride,
+NRFF_MULTIVERSION void EncodeLobe(const Lobe<float>& lobe, const float* o, const float* raw, int64_t n, int64_t stride,
                                   float* encoding) {
   NRFF_ROWS_DISTINCT
   for (int64_t s = 0; s < n; ++s) {
-    float along, at_lambda, at_mu, lambda, mu, unused;
-    lobe.Project(o[s], o[stride + s], o[2 * stride + s], along, at_lambda, at_mu);
-    FastSoftplus(raw[2 * stride + s] - 1, lambda, unused);
-    FastSoftplus(raw[3 * stride + s] - 1, mu, unused);
-    const float response = (along > 0 ? along : 0.F) * FastExp(-lambda * at_lambda * at_lambda - mu * at_mu * at_mu);
-    encoding[s] = raw[s] * response;
-    encoding[stride + s] = raw[stride + s] * response;
+    const LobeResponse<float> at(lobe, o[s], o[stride + s], o[2 * stride + s], raw[2 * stride + s],
+                                 raw[3 * stride + s]);
+    encoding[s] = raw[s] * at.response;
+    encoding[stride + s] = raw[stride + s] * at.response;
   }
 }
 
 // d_o accumulates.
-NRFF_MULTIVERSION void EncodeLobeBackward(const Lobe& lobe, const float* o, const float* raw, const float* d_encoding,
-                                          int64_t n, int64_t stride, float* d_o, float* d_raw) {
+NRFF_MULTIVERSION void EncodeLobeBackward(const Lobe<float>& lobe, const float* o, const float* raw,
+                                          const float* d_encoding, int64_t n, int64_t stride, float* d_o,
+                                          float* d_raw) {
   NRFF_ROWS_DISTINCT
   for (int64_t s = 0; s < n; ++s) {
-    float along, at_lambda, at_mu, lambda, mu, d_softplus_lambda, d_softplus_mu;
-    lobe.Project(o[s], o[stride + s], o[2 * stride + s], along, at_lambda, at_mu);
-    FastSoftplus(raw[2 * stride + s] - 1, lambda, d_softplus_lambda);
-    FastSoftplus(raw[3 * stride + s] - 1, mu, d_softplus_mu);
-    const float gaussian = FastExp(-lambda * at_lambda * at_lambda - mu * at_mu * at_mu);
-    const float response = (along > 0 ? along : 0.F) * gaussian;
-    const float d_response = d_encoding[s] * raw[s] + d_encoding[stride + s] * raw[stride + s];
-    const float d_exponent = d_response * response;
-    d_raw[s] = d_encoding[s] * response;
-    d_raw[stride + s] = d_encoding[stride + s] * response;
-    d_raw[2 * stride + s] = -d_exponent * at_lambda * at_lambda * d_softplus_lambda;
-    d_raw[3 * stride + s] = -d_exponent * at_mu * at_mu * d_softplus_mu;
-    const float d_along = along > 0 ? d_response * gaussian : 0.F;
-    const float d_lambda = -2 * d_exponent * lambda * at_lambda;
-    const float d_mu = -2 * d_exponent * mu * at_mu;
-    const float d_across = d_along * lobe.sin_theta + d_lambda * lobe.cos_theta;
-    d_o[s] += d_across * lobe.cos_phi - d_mu * lobe.sin_phi;
-    d_o[stride + s] += d_across * lobe.sin_phi + d_mu * lobe.cos_phi;
-    d_o[2 * stride + s] += d_along * lobe.cos_theta - d_lambda * lobe.sin_theta;
+    const LobeResponse<float> at(lobe, o[s], o[stride + s], o[2 * stride + s], raw[2 * stride + s],
+                                 raw[3 * stride + s]);
+    const LobeGradient<float> d(lobe, at, raw[s], raw[stride + s], d_encoding[s], d_encoding[stride + s]);
+    d_raw[s] = d.d_a0;
+    d_raw[stride + s] = d.d_a1;
+    d_raw[2 * stride + s] = d.d_raw_lambda;
+    d_raw[3 * stride + s] = d.d_raw_mu;
+    d_o[s] += d.d_x;
+    d_o[stride + s] += d.d_y;
+    d_o[2 * stride + s] += d.d_z;
   }
-}
-
-NRFF_INLINE float Sigmoid(float x) {
-  const float e = FastExp(x > 0 ? -x : x);
-  return (x > 0 ? 1.F : e) / (1 + e);
 }
 
 // rgb = sigmoid(diffuse + tint ⊙ specular), row by row.
 NRFF_MULTIVERSION void Colour(const float* diffuse, const float* tint, const float* specular, int64_t n, float* rgb) {
   NRFF_ROWS_DISTINCT
-  for (int64_t s = 0; s < n; ++s) rgb[s] = Sigmoid(diffuse[s] + tint[s] * specular[s]);
+  for (int64_t s = 0; s < n; ++s) rgb[s] = FastSigmoid(diffuse[s] + tint[s] * specular[s]);
 }
 
 NRFF_MULTIVERSION void DiffuseColour(const float* diffuse, int64_t n, float* rgb) {
   NRFF_ROWS_DISTINCT
-  for (int64_t s = 0; s < n; ++s) rgb[s] = Sigmoid(diffuse[s]);
+  for (int64_t s = 0; s < n; ++s) rgb[s] = FastSigmoid(diffuse[s]);
 }
 
 NRFF_MULTIVERSION void ColourBackward(const float* tint, const float* specular, const float* rgb, const float* d_rgb,
@@ -342,7 +309,7 @@ void ShadingTile::Encode(const ShadingNetworks& networks, int64_t n) {
       ForwardLayer(lobe_layer, Row(share + row * lobe_layer.n_in), n, Row(lobe_raw_ + row * lobe_layer.n_out));
     }
     for (int k = 0; k < networks.lobes.size(); ++k) {
-      EncodeLobe(Lobe(networks.lobes, k), Row(reflected_), Row(lobe_raw_ + k * kLobeParameters), n, stride_,
+      EncodeLobe(LobeAt(networks.lobes, k), Row(reflected_), Row(lobe_raw_ + k * kLobeParameters), n, stride_,
                  Row(encoding + k * kLobeAmplitudes));
     }
   }
@@ -430,7 +397,7 @@ void ShadingTile::EncodeBackward(const ShadingNetworks& networks, int64_t n,
   for (int k = 0; k < 3; ++k) std::fill_n(Row(d_reflected_ + k), n, 0.F);
   if (networks.encoding == DirectionalEncoding::kPe) return;  // rays are given
   for (int k = 0; k < networks.lobes.size(); ++k) {
-    EncodeLobeBackward(Lobe(networks.lobes, k), Row(reflected_), Row(lobe_raw_ + k * kLobeParameters),
+    EncodeLobeBackward(LobeAt(networks.lobes, k), Row(reflected_), Row(lobe_raw_ + k * kLobeParameters),
                        Row(d_encoding + k * kLobeAmplitudes), n, stride_, Row(d_reflected_),
                        Row(d_lobe_raw_ + k * kLobeParameters));
   }

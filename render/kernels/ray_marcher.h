@@ -16,7 +16,7 @@ template <typename Scalar>
 class RayMarcher {
  public:
   RayMarcher() = default;  // has nothing to give
-  RayMarcher(const MarchArgs<Scalar>& args, int64_t ray)
+  NRFF_HOST_DEVICE RayMarcher(const MarchArgs<Scalar>& args, int64_t ray)
       : bits_(args.occupancy), last_cell_(args.occupancy.resolution - 1), unbounded_(args.map.unbounded) {
     half_resolution_ = Scalar(0.5) * args.occupancy.resolution;
     field_scale_ = args.map.unbounded ? Scalar(0.5) : Scalar(1);
@@ -45,7 +45,7 @@ class RayMarcher {
   }
 
   // The next sample: its distance and its field coordinates. False when there is none left.
-  bool Next(Scalar& t, Scalar point[3]) {
+  NRFF_HOST_DEVICE bool Next(Scalar& t, Scalar point[3]) {
     while (phase_ != Phase::kDone) {
       if (phase_ == Phase::kBox) {
         if (NextInBox(t, point)) return true;
@@ -74,14 +74,14 @@ class RayMarcher {
   // Cells of a point's three axes.
   struct Cell {
     int x, y, z;
-    bool SameBlock(const Cell& other) const {
+    NRFF_HOST_DEVICE bool SameBlock(const Cell& other) const {
       return ((x ^ other.x) | (y ^ other.y) | (z ^ other.z)) < kOccupancyBlock;
     }
   };
 
   // The part of [near, far] inside the box; enter_ > exit_ when there is none. Slab test: a zero direction component
   // never divides, and then only the origin decides.
-  void FindBox(Scalar near, Scalar far) {
+  NRFF_HOST_DEVICE void FindBox(Scalar near, Scalar far) {
     enter_ = near;
     exit_ = far;
     for (int k = 0; k < 3; ++k) {
@@ -96,14 +96,14 @@ class RayMarcher {
   }
 
   // Cells outside by rounding belong to the nearest one. Monotone in t axis by axis, which Skip relies on.
-  Cell CellAt(Scalar t) const {
+  NRFF_HOST_DEVICE Cell CellAt(Scalar t) const {
     const auto clamp = [this](Scalar x) { return std::min(std::max(static_cast<int>(x), 0), last_cell_); };
     return {clamp(cell_origin_[0] + t * cell_speed_[0]), clamp(cell_origin_[1] + t * cell_speed_[1]),
             clamp(cell_origin_[2] + t * cell_speed_[2])};
   }
 
   // Number of i ≥ 0 with t0 + i·step ≤ end.
-  int64_t LatticeSize(Scalar t0, Scalar end) const {
+  NRFF_HOST_DEVICE int64_t LatticeSize(Scalar t0, Scalar end) const {
     if (!(t0 <= end)) return 0;
     auto n = static_cast<int64_t>((end - t0) / step_) + 2;
     while (n > 0 && t0 + static_cast<Scalar>(n - 1) * step_ > end) --n;
@@ -112,7 +112,7 @@ class RayMarcher {
 
   // A position j ≥ i, j < n, of the lattice that is in the same block as position i. Since CellAt is monotone, so are
   // all between: they can be jumped over whatever rounding did to the guess.
-  int64_t Skip(int64_t i, const Cell& cell) const {
+  NRFF_HOST_DEVICE int64_t Skip(int64_t i, const Cell& cell) const {
     const int corner[3] = {cell.x & ~(kOccupancyBlock - 1), cell.y & ~(kOccupancyBlock - 1),
                            cell.z & ~(kOccupancyBlock - 1)};
     Scalar leave = start_ + static_cast<Scalar>(n_positions_) * step_;
@@ -127,13 +127,13 @@ class RayMarcher {
   }
 
   // max(1, |u|∞), and the step in t there.
-  Scalar Norm(Scalar t) const {
+  NRFF_HOST_DEVICE Scalar Norm(Scalar t) const {
     return std::max(
         {Scalar(1), std::abs(uo_[0] + t * ud_[0]), std::abs(uo_[1] + t * ud_[1]), std::abs(uo_[2] + t * ud_[2])});
   }
-  Scalar OutsideStep(Scalar norm) const { return step_ * norm * norm; }
+  NRFF_HOST_DEVICE Scalar OutsideStep(Scalar norm) const { return step_ * norm * norm; }
 
-  void StartBox(Scalar start) {
+  NRFF_HOST_DEVICE void StartBox(Scalar start) {
     phase_ = Phase::kBox;
     start_ = start;
     position_ = 0;
@@ -141,7 +141,7 @@ class RayMarcher {
   }
 
   // Positions start + i·step up to the exit, all inside the box.
-  bool NextInBox(Scalar& t_out, Scalar point[3]) {
+  NRFF_HOST_DEVICE bool NextInBox(Scalar& t_out, Scalar point[3]) {
     while (position_ < n_positions_) {
       const Scalar t = start_ + static_cast<Scalar>(position_) * step_;
       const Cell cell = CellAt(t);
@@ -161,7 +161,7 @@ class RayMarcher {
 
   // Growing steps from t_ until t_ ≥ outside_end_, outside the foreground box; leaves t_ at the first position not
   // taken. Also ends when the step is too small for t_ to move.
-  bool NextOutside(Scalar& t_out, Scalar point[3]) {
+  NRFF_HOST_DEVICE bool NextOutside(Scalar& t_out, Scalar point[3]) {
     while (t_ < outside_end_) {
       const Scalar m = Norm(t_), scale = SceneMap::ContractionScale(m), t = t_;
       int cell[3];
@@ -186,10 +186,10 @@ class RayMarcher {
   int last_cell_ = 0;
   bool unbounded_ = false;
   Phase phase_ = Phase::kDone;
-  Scalar uo_[3], ud_[3];                   // box coordinates: u = uo + t·ud
-  Scalar cell_origin_[3], cell_speed_[3];  // cell coordinates inside the box: cell_origin + t·cell_speed
-  Scalar cell_time_[3];                    // 1 / cell_speed
-  Scalar enter_, exit_, far_;              // along the ray
+  Scalar uo_[3], ud_[3];                         // box coordinates: u = uo + t·ud
+  Scalar cell_origin_[3], cell_speed_[3];        // cell coordinates inside the box: cell_origin + t·cell_speed
+  Scalar cell_time_[3];                          // 1 / cell_speed
+  Scalar enter_, exit_, far_;                    // along the ray
   Scalar half_resolution_, field_scale_, step_;  // step: in t, inside the box
   Scalar start_;                                 // of the positions inside the box
   int64_t position_ = 0, n_positions_ = 0;

@@ -148,7 +148,7 @@ struct Grid {
 
 void DensityGridForward(State& state) {
   Grid grid(state.range(0) != 0, 2);
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     GridSumForward(grid.layout, grid.parameters.data(), grid.points.data(), kPoints, grid.features.data());
   }
   Report(state, kPoints, 0, grid.bytes_read(), PeakGather(grid.layout.n_parameters));
@@ -156,7 +156,7 @@ void DensityGridForward(State& state) {
 
 void DensityGridBackward(State& state) {
   Grid grid(state.range(0) != 0, 2);
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     for (int p = 0; p < grid.layout.n_products(); ++p) {
       GridSumBackward(grid.layout, p, grid.parameters.data(), grid.points.data(), kPoints, grid.features.data(),
                       grid.gradient.data());
@@ -168,7 +168,7 @@ void DensityGridBackward(State& state) {
 
 void AppearanceGridForward(State& state) {
   Grid grid(state.range(0) != 0, 4);
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     GridConcatForward(grid.layout, grid.parameters.data(), grid.points.data(), kPoints, grid.features.data());
   }
   Report(state, kPoints, 0, grid.bytes_read(), PeakGather(grid.layout.n_parameters));
@@ -176,7 +176,7 @@ void AppearanceGridForward(State& state) {
 
 void AppearanceGridBackward(State& state) {
   Grid grid(state.range(0) != 0, 4);
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     for (int p = 0; p < grid.layout.n_products(); ++p) {
       GridConcatBackward(grid.layout, p, grid.parameters.data(), grid.points.data(), kPoints,
                          grid.features.data() + p * kPoints * 4, grid.gradient.data());
@@ -191,7 +191,7 @@ void LinearForward(State& state) {
   const auto weight = Uniforms(n_out * n_in, -1, 1, 1), x = Uniforms(n_in * row, -1, 1, 2),
              bias = Uniforms(n_out, 0, 1, 3);
   std::vector<float> y(n_out * row);
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     TileGemm({.m = n_out,
               .n = n,
               .k = n_in,
@@ -212,7 +212,7 @@ void LinearBackwardInput(State& state) {
   const int64_t n_in = state.range(0), n_out = state.range(1), n = 224, row = n + 16;
   const auto weight = Uniforms(n_out * n_in, -1, 1, 1), d_y = Uniforms(n_out * row, -1, 1, 2);
   std::vector<float> d_x(n_in * row);
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     TileGemm({.m = n_in,
               .n = n,
               .k = n_out,
@@ -232,7 +232,7 @@ void LinearBackwardWeight(State& state) {
   const int64_t padded = (n_in + 15) / 16 * 16, across = padded + 16;
   const auto x = Uniforms(padded * row, -1, 1, 1), d_y = Uniforms(n_out * row, -1, 1, 2);
   std::vector<float> transposed(n * across), d_weight(n_out * padded);
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     TileGemmTransposed({.m = n_out,
                         .n = padded,
                         .k = n,
@@ -295,7 +295,7 @@ void Shading(State& state) {
   std::copy(features.begin(), features.end(), tile.features());
   std::fill_n(tile.ray_directions() + 2 * tile.stride(), kSamples, 1.F);
   tile.Forward(made.networks, kSamples);
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     if (!backward) {
       tile.Forward(made.networks, kSamples);
       continue;
@@ -345,7 +345,7 @@ void March(State& state) {
                               .far = 6};
   std::vector<int64_t> offsets(kRays + 1);
   int64_t n_samples = 0;
-  for (auto _ : state) n_samples = CountSamplesCpu(args, offsets.data());
+  for ([[maybe_unused]] auto _ : state) n_samples = CountSamplesCpu(args, offsets.data());
   Report(state, n_samples, 0, 0, 0);
   state.counters["rays/s"] = Counter(double(kRays) * double(state.iterations()), Counter::kIsRate);
 }
@@ -373,14 +373,14 @@ struct Composited {
 
 void WeightsForward(State& state) {
   Composited c;
-  for (auto _ : state) c.Forward();
+  for ([[maybe_unused]] auto _ : state) c.Forward();
   Report(state, Composited::kSamples, 0, 0, 0);
 }
 
 void WeightsBackward(State& state) {
   Composited c;
   c.Forward();
-  for (auto _ : state) {
+  for ([[maybe_unused]] auto _ : state) {
     WeightsBackwardCpu(WeightsBackwardArgs<float>{.n_rays = Composited::kRays,
                                                   .ray_offsets = c.offsets.data(),
                                                   .delta = c.delta.data(),
@@ -398,7 +398,7 @@ void Adam(State& state) {
   const int64_t n = state.range(0);
   std::vector<float> gradient = Uniforms(n, -1, 1, 1), parameters(n), m(n), v(n);
   int64_t t = 0;
-  for (auto _ : state) AdamStep(AdamOptions{}, ++t, n, gradient.data(), parameters.data(), m.data(), v.data());
+  for ([[maybe_unused]] auto _ : state) AdamStep(AdamOptions{}, ++t, n, gradient.data(), parameters.data(), m.data(), v.data());
   Report(state, n, 0, 7. * 4 * double(n), PeakBytes());
 }
 

@@ -1,0 +1,62 @@
+#include "model/cuda/gpu_model.h"
+
+#include <algorithm>
+#include <stdexcept>
+
+namespace nrff {
+
+GpuModel MakeGpuModel(const NrffField& field) {
+  const FieldConfig& config = field.config();
+  if (config.directional_encoding != DirectionalEncoding::kRee &&
+      config.directional_encoding != DirectionalEncoding::kNone) {
+    throw std::invalid_argument(std::string("directional encoding ") +
+                                kDirectionalEncodings[static_cast<int>(config.directional_encoding)] +
+                                ": a GPU has only ree and none");
+  }
+  constexpr int64_t kAlignment = 64;  // elements
+  GpuModel model;
+  model.density = field.density_layout();
+  model.appearance = field.appearance_layout();
+  model.density_scale = float(config.density_scale);
+  model.density_shift = float(config.density_shift);
+  model.decodes = config.decoded_features > 0;
+  model.encoding = config.directional_encoding;
+  model.bottleneck_width = config.bottleneck_width;
+  model.activation = config.activation;
+  for (const NrffField::Parameter& parameter : field.parameters()) {
+    model.segments.push_back({model.n_parameters, parameter.value.numel()});
+    model.n_parameters += (parameter.value.numel() + kAlignment - 1) / kAlignment * kAlignment;
+    if (parameter.is_grid) model.n_grid = model.n_parameters;
+  }
+  // Layers follow the grids, each a weight and a bias: the order of NrffField's parameters.
+  size_t next = 2;
+  const auto layer = [&](const LinearLayer& linear) {
+    const GpuModel::Layer made{linear.n_in, linear.n_out, model.segments[next].begin, model.segments[next + 1].begin};
+    next += 2;
+    return made;
+  };
+  const ShadingNetworks networks = field.Networks();
+  for (const LinearLayer& linear : networks.spatial) model.spatial.push_back(layer(linear));
+  if (model.encoding == DirectionalEncoding::kRee) {
+    model.lobe_layer = layer(networks.lobe_layer);
+    model.lobes = networks.lobes;
+  }
+  for (const LinearLayer& linear : networks.directional) model.directional.push_back(layer(linear));
+  return model;
+}
+
+std::vector<float> Flatten(const GpuModel& model, const std::vector<torch::Tensor>& tensors) {
+  std::vector<float> flat(model.n_parameters);
+  for (size_t i = 0; i < tensors.size(); ++i) {
+    std::copy_n(tensors[i].const_data_ptr<float>(), model.segments[i].n, flat.data() + model.segments[i].begin);
+  }
+  return flat;
+}
+
+void Unflatten(const GpuModel& model, const std::vector<float>& flat, const std::vector<torch::Tensor>& tensors) {
+  for (size_t i = 0; i < tensors.size(); ++i) {
+    std::copy_n(flat.data() + model.segments[i].begin, model.segments[i].n, tensors[i].mutable_data_ptr<float>());
+  }
+}
+
+}  // namespace nrff

@@ -1,0 +1,103 @@
+// Training and rendering of the NRFF model on a GPU, as what uses it sees it: plain memory, no CUDA, no torch.
+//
+// A step is a fixed sequence of kernels over memory that was laid out before (step_program.h); nothing of it waits for
+// the host. What a step found comes back kLag steps later.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "model/kernels/activation.h"
+#include "model/kernels/directional_encoding.h"
+#include "model/kernels/feature_grid.h"
+#include "model/kernels/ree.h"
+#include "render/kernels/depth_ray.h"
+#include "render/kernels/occupancy_bits.h"
+#include "render/kernels/step_control.h"
+
+namespace nrff {
+
+// A model's shape. Its parameters lie in one array: the density grid, the appearance grid, then the layers' weights
+// [n_out, n_in] and biases; each begins at a multiple of 64 elements, with zeros between.
+struct GpuModel {
+  struct Layer {
+    int n_in = 0, n_out = 0;
+    int64_t weight = 0, bias = 0;  // where they begin
+  };
+  struct Segment {
+    int64_t begin = 0, n = 0;
+  };
+  GridLayout density, appearance;
+  float density_scale = 1, density_shift = 0;
+  std::vector<Layer> spatial, directional;
+  bool decodes = false;                                      // the first spatial layer is followed by no activation
+  DirectionalEncoding encoding = DirectionalEncoding::kRee;  // or kNone; a GPU has no others
+  Layer lobe_layer;                                          // with kRee
+  Lobes lobes;
+  int bottleneck_width = 0;
+  Activation activation = Activation::kGelu;
+
+  std::vector<Segment> segments;  // of the parameters, in the order of NrffField::parameters()
+  int64_t n_grid = 0;             // elements of the grids, what lies between included
+  int64_t n_parameters = 0;       // all elements
+};
+
+// What is learnt from. Copied to the device.
+struct GpuScene {
+  std::vector<device::GpuView> views;
+  std::vector<uint64_t> pixels_before;  // [n_views + 1]
+  const uint8_t* pack = nullptr;
+  size_t pack_bytes = 0;
+  std::vector<DepthTarget> depths;
+};
+
+// How much a step may hold.
+struct GpuRoom {
+  int64_t rays = 0, samples = 0, shaded = 0;
+  bool operator==(const GpuRoom&) const = default;
+};
+
+enum class GpuPrecision { kFloat, kHalf };  // kHalf: bf16 networks, tables of halfs; parameters stay float
+
+class GpuTrainer {
+ public:
+  virtual ~GpuTrainer() = default;
+
+  // parameters, m, v [model.n_parameters].
+  virtual void SetState(const float* parameters, const float* m, const float* v, int64_t adam_t) = 0;
+  // Waits for the steps queued so far.
+  virtual void GetState(float* parameters, float* m, float* v) = 0;
+  // The mean of the parameters: one more value into it, the n-th; and the mean itself [n_parameters], which waits.
+  virtual void AddToAverage(int64_t n) = 0;
+  virtual void SetAverage(const float* average) = 0;
+  virtual void GetAverage(float* average) = 0;
+
+  virtual void SetOccupancy(const OccupancyBits& bits) = 0;
+
+  // Queues a step, with as many of the control's rays as there is memory for. Returns what the step kLag before it
+  // found; that of a step whose samples found no room, and which changed nothing, has n_samples or n_shaded beyond
+  // room() of then, and more room is made for the following.
+  static constexpr int kLag = 4;
+  virtual std::optional<device::StepResult> Step(const device::StepControl& control) = 0;
+  // Waits; what the steps since found.
+  virtual std::vector<device::StepResult> Finish() = 0;
+
+  // σ of points [n, 3]; both in the host's memory. Waits.
+  virtual void Densities(const float* points, int64_t n, float* sigma) = 0;
+
+  virtual GpuRoom room() const = 0;
+  virtual int64_t most_rays() const = 0;  // that a step of this model has memory for, as far as is known
+  virtual size_t bytes() const = 0;       // of the device's memory
+};
+
+struct GpuTrainerOptions {
+  GpuPrecision precision = GpuPrecision::kHalf;
+  GpuRoom room;           // to begin with
+  bool use_graph = true;  // a step is queued as one graph
+};
+
+}  // namespace nrff

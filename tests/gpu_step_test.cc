@@ -1,0 +1,277 @@
+// The step of a GPU against the step of the CPU, which is held against autograd in double: the same batch, the same
+// losses, all gradients. Where there is no GPU its kernels run in the emulation of tests/emulation.
+
+#include <ATen/ATen.h>
+#include <gtest/gtest.h>
+#include <omp.h>
+
+#include <cmath>
+#include <fstream>
+#include <ostream>
+
+#include "model/cuda/gpu_model.h"
+#include "model/cuda/gpu_room.h"
+#include "model/cuda/gpu_trainer_program.h"
+#include "model/depth_batch.h"
+#include "model/kernels/adam.h"
+#include "model/train_state.h"
+#include "model/training_step.h"
+#include "render/kernels/random.h"
+#include "tests/emulation/device_emulation.h"
+#include "tests/temporary_directory.h"
+
+namespace nrff {
+namespace {
+
+using device::StepControl;
+using device::StepResult;
+using torch::Tensor;
+
+constexpr int kOccupancyResolution = 32;
+constexpr uint64_t kSeed = 7;
+constexpr size_t kPlenty = size_t{1} << 34;
+
+struct Case {
+  const char* name;
+  bool unbounded;
+  Activation activation;
+  LossWeights weights;
+  float stop = 1e-4F, threshold = 1e-4F;
+  int n_depths = 0;
+  void (*change)(FieldConfig&) = [](FieldConfig&) {};
+};
+void PrintTo(const Case& c, std::ostream* out) { *out << c.name; }
+
+FieldConfig SmallField(const Case& c) {
+  FieldConfig config;
+  config.levels = 3;
+  config.base_resolution = 6;
+  config.max_resolution = 20;
+  config.appearance_line_mean = 1;
+  config.density_shift = -1;
+  config.density_scale = c.unbounded ? 12 : 6;
+  config.spatial_width = 24;
+  config.spatial_layers = 3;
+  config.bottleneck_width = 10;
+  config.lobes_theta = 3;
+  config.lobes_phi = 5;
+  config.lobe_row_width = 7;
+  config.directional_layers = 3;
+  config.directional_width = 20;
+  config.activation = c.activation;
+  c.change(config);
+  return config;
+}
+
+// Six cameras around the origin, looking at it, whose pixels are noise; every other one has alpha.
+Scene WriteNoiseScene(const std::filesystem::path& dir) {
+  Scene scene;
+  scene.near = 0.1;
+  scene.far = 6;
+  std::ofstream pack(dir / kPackFile, std::ios::binary);
+  uint64_t offset = 0;
+  for (int i = 0; i < 6; ++i) {
+    const double a = i, z[3] = {-std::cos(a), -std::sin(a), 0}, x[3] = {-std::sin(a), std::cos(a), 0};
+    View view;
+    view.width = 20 + i;
+    view.height = 16;
+    view.channels = i % 2 == 0 ? 3 : 4;
+    view.pack_offset = offset;
+    view.fx = view.fy = 18;
+    view.cx = 9.5 + i;
+    view.cy = 8;
+    view.scene_from_camera = {x[0], 0, z[0], -2.5 * z[0], x[1], 0, z[1], -2.5 * z[1], 0, -1, 0, 0.1 * i, 0, 0, 0, 1};
+    scene.views.push_back(view);
+    const int64_t n = int64_t(view.width) * view.height * view.channels;
+    for (int64_t k = 0; k < n; ++k) pack.put(char(RandomBits(1, 2, offset + k) & 0xff));
+    offset += n;
+  }
+  return scene;
+}
+
+std::vector<SparseDepth> NoiseDepths(const Scene& scene) {
+  std::vector<SparseDepth> depths;
+  for (uint32_t i = 0; i < 50; ++i) {
+    depths.push_back({uint32_t(i % scene.views.size()), {}, 0.2F});
+    for (float& x : depths.back().position) x = Uniform(3, i, uint64_t(&x - depths.back().position)) - 0.5F;
+  }
+  return depths;
+}
+
+// A scene and a model on both sides.
+struct Sides {
+  explicit Sides(const Case& c)
+      : scene(WriteNoiseScene(dir.path())),
+        pack(dir.path()),
+        depths(scene, c.n_depths > 0 ? NoiseDepths(scene) : std::vector<SparseDepth>{}),
+        pixels(scene.views, pack, kBackground),
+        field(SmallField(c), torch::kFloat, 3),
+        model(MakeGpuModel(field)),
+        map(SceneMap::FromBox({-1, -1.1, -0.9}, {1, 0.9, 1}, c.unbounded)),
+        occupancy(kOccupancyResolution) {
+    gpu_scene.pixels_before.push_back(0);
+    for (const View& view : scene.views) {
+      device::GpuView gpu{{view.fx, view.fy, view.cx, view.cy, {}}, view.width, view.channels, view.pack_offset};
+      std::copy_n(view.scene_from_camera.begin(), 12, gpu.camera.scene_from_camera);
+      gpu_scene.views.push_back(gpu);
+      gpu_scene.pixels_before.push_back(gpu_scene.pixels_before.back() + uint64_t(view.width) * view.height);
+    }
+    gpu_scene.pack = pack.Pixels(scene.views.front());
+    gpu_scene.pack_bytes =
+        scene.views.back().pack_offset + uint64_t(scene.views.back().width) * scene.views.back().height * 4;
+    gpu_scene.depths = depths.targets();
+    options.step = 0.05;
+    options.near = scene.near;
+    options.far = scene.far;
+    options.stop_transmittance = c.stop;
+    options.weight_threshold = c.threshold;
+    options.background = kBackground;
+    options.jitter = {kSeed, kStep};
+    control.seed = kSeed;
+    control.step = kStep;
+    control.n_rays = 300;
+    control.n_depths = c.n_depths;
+    control.march_step = options.step;
+    control.near = scene.near;
+    control.far = scene.far;
+    control.map = map;
+    control.stop_transmittance = c.stop;
+    control.weight_threshold = c.threshold;
+    control.background = kBackground;
+    control.orientation = float(c.weights.orientation);
+    control.density_l1 = float(c.weights.density_l1);
+    control.sparsity = float(c.weights.sparsity);
+    control.depth = float(c.weights.depth);
+    control.grid_rate = 0.02;
+    control.network_rate = 1e-3;
+  }
+
+  template <typename Storage>
+  std::unique_ptr<device::GpuTrainerProgram<Storage>> MakeTrainer(const GpuTrainerOptions& with) const {
+    auto trainer = std::make_unique<device::GpuTrainerProgram<Storage>>(model, gpu_scene, kOccupancyResolution, with);
+    std::vector<Tensor> values, zeros;
+    for (const NrffField::Parameter& parameter : field.parameters()) {
+      values.push_back(parameter.value);
+      zeros.push_back(at::zeros_like(parameter.value));
+    }
+    const std::vector<float> parameters = Flatten(model, values), moments = Flatten(model, zeros);
+    trainer->SetState(parameters.data(), moments.data(), moments.data(), 0);
+    trainer->SetOccupancy(occupancy.bits());
+    return trainer;
+  }
+
+  static constexpr float kBackground = 0.4F;
+  static constexpr uint64_t kStep = 5;
+  TemporaryDirectory dir;
+  Scene scene;
+  ImagePack pack;
+  DepthSource depths;
+  PixelSource pixels;
+  NrffField field;
+  GpuModel model;
+  GpuScene gpu_scene;
+  SceneMap map;
+  OccupancyGrid occupancy;
+  RenderOptions options;
+  StepControl control;
+};
+
+constexpr GpuRoom kRoom{512, 32768, 32768};
+
+class GpuStepTest : public ::testing::TestWithParam<Case> {
+ protected:
+  void SetUp() override { device::SetEmulatedMemory(kPlenty); }
+};
+
+// What the CPU's step leaves.
+struct Expected {
+  TrainingStep::Result result;
+  std::vector<Tensor> gradients;
+};
+Expected OnCpu(const Sides& sides, const Case& c) {
+  TrainingStep step(sides.field);
+  const PixelSource::Batch batch = sides.pixels.Draw(sides.control.n_rays, kSeed, Sides::kStep);
+  std::optional<DepthSource::Batch> depths;
+  if (c.n_depths > 0) depths = sides.depths.Draw(c.n_depths, kSeed, Sides::kStep, sides.map, sides.options.step);
+  Expected expected;
+  expected.result = step.Run(batch, depths ? &*depths : nullptr, sides.occupancy, sides.map, sides.options, c.weights);
+  for (const Tensor& gradient : step.gradients()) expected.gradients.push_back(gradient.clone());
+  return expected;
+}
+
+std::vector<Tensor> LikeParameters(const Sides& sides, const std::vector<float>& flat) {
+  std::vector<Tensor> tensors;
+  for (const NrffField::Parameter& parameter : sides.field.parameters()) {
+    tensors.push_back(at::empty(parameter.value.sizes(), torch::kFloat));
+  }
+  Unflatten(sides.model, flat, tensors);
+  return tensors;
+}
+
+TEST_P(GpuStepTest, FindsWhatTheCpuFindsAndItsGradients) {
+  const Case& c = GetParam();
+  Sides sides(c);
+  const Expected expected = OnCpu(sides, c);
+  const auto trainer = sides.MakeTrainer<device::FloatStorage>({.precision = GpuPrecision::kFloat, .room = kRoom});
+  trainer->Step(sides.control);
+  const StepResult found = trainer->Finish().front();
+  EXPECT_EQ(found.applied, 1);
+  EXPECT_EQ(found.adam_t, 1);
+  EXPECT_EQ(found.n_shaded, expected.result.n_shaded);
+  EXPECT_GT(found.n_shaded, 1000);
+  EXPECT_NEAR(found.mse, expected.result.mse, 1e-6 * expected.result.mse);
+  EXPECT_NEAR(found.orientation, expected.result.orientation, 1e-5 * expected.result.orientation);
+  EXPECT_NEAR(found.sparsity, expected.result.sparsity, 1e-5 * expected.result.sparsity);
+  EXPECT_NEAR(found.depth, expected.result.depth, 1e-5);
+
+  // The first moments are a tenth of the gradients, L1 term included.
+  std::vector<float> p(sides.model.n_parameters), m(p.size()), v(p.size());
+  trainer->GetState(p.data(), m.data(), v.data());
+  const std::vector<Tensor> moments = LikeParameters(sides, m), values = LikeParameters(sides, p);
+  for (size_t i = 0; i < moments.size(); ++i) {
+    const Tensor difference = moments[i] / (1 - sides.control.beta1) - expected.gradients[i];
+    const double largest = expected.gradients[i].abs().max().item<double>();
+    EXPECT_LT(difference.abs().max().item<double>(), 3e-5 * largest)
+        << sides.field.parameters()[i].name << " " << largest;
+    // Adam by the letter of its own moments.
+    const Tensor second = LikeParameters(sides, v)[i];
+    const double rate = sides.field.parameters()[i].is_grid ? sides.control.grid_rate : sides.control.network_rate;
+    const Tensor update =
+        rate * (moments[i] / (1 - sides.control.beta1)) / ((second / (1 - sides.control.beta2)).sqrt() + 1e-8);
+    const Tensor off = values[i] - (sides.field.parameters()[i].value.detach() - update);
+    EXPECT_LT(off.abs().max().item<double>(), 1e-6) << sides.field.parameters()[i].name;
+  }
+}
+
+Case With(const char* name, void (*change)(FieldConfig&)) {
+  Case c{name, false, Activation::kGelu, {.orientation = 0.3, .density_l1 = 8e-5}};
+  c.change = change;
+  return c;
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Model, GpuStepTest,
+    ::testing::Values(Case{"ColourAlone", false, Activation::kRelu, {}},
+                      Case{"Paper", false, Activation::kGelu, {.orientation = 0.3, .density_l1 = 8e-5}},
+                      Case{"Sparsity", false, Activation::kRelu, {.sparsity = 0.1}},
+                      Case{"StopsEarly", false, Activation::kRelu, {.orientation = 0.3}, 0.02F, 0.02F},
+                      Case{"UnboundedWithDepths",
+                           true,
+                           Activation::kRelu,
+                           {.orientation = 0.3, .sparsity = 1e-3, .depth = 0.1},
+                           0.01F,
+                           0.01F,
+                           100},
+                      With("DiffuseAlone", [](FieldConfig& f) { f.directional_encoding = DirectionalEncoding::kNone; }),
+                      With("VectorMatrixDecoded",
+                           [](FieldConfig& f) {
+                             f.levels = 1;
+                             f.base_resolution = f.max_resolution;
+                             f.density_channels = 8;
+                             f.appearance_channels = 12;
+                             f.decoded_features = 7;
+                           })),
+    [](const auto& info) { return info.param.name; });
+
+}  // namespace
+}  // namespace nrff
