@@ -32,6 +32,7 @@ class PixelSource {
   Batch At(const torch::Tensor& pixels) const;
 
   const std::vector<View>& views() const { return views_; }
+  const ImagePack& pack() const { return pack_; }
 
  private:
   std::vector<View> views_;

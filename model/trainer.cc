@@ -47,6 +47,17 @@ const Scene& Checked(const Scene& scene) {
   return scene;
 }
 
+std::string NotFiniteLoss(const TrainingStep::Result& result) {
+  for (const auto& [name, loss] : {std::pair("colour", result.mse),
+                                   {"orientation", result.orientation},
+                                   {"sparsity", result.sparsity},
+                                   {"depth", result.depth}}) {
+    if (std::isfinite(loss)) continue;
+    return std::string(std::isnan(loss) ? "a loss that is not a number (" : "an infinite loss (") + name + ")";
+  }
+  return {};
+}
+
 }  // namespace
 
 Trainer::Trainer(const Scene& scene, const ImagePack& pack, const std::vector<SparseDepth>& depths,
@@ -66,6 +77,7 @@ Trainer::Trainer(const Scene& scene, const ImagePack& pack, const std::vector<Sp
     state_.occupancy.MarkSeen(pixels_.views(), state_.map, scene_.near,
                               std::min(n_views, preset_.train.occupancy_min_views));
   }
+  if (options.gpu) gpu_ = std::make_unique<GpuTraining>(options.gpu, state_, preset_.train, pixels_, depths_);
 }
 
 double Trainer::Progress() const {
@@ -102,7 +114,12 @@ void Trainer::UpdateOccupancy(bool all_cells) {
   options.seed = options_.seed;
   options.counter = uint64_t(state_.occupancy_updates);
   options.dilate = config.occupancy_dilate;
-  state_.occupancy.Update(state_.field, options);
+  if (gpu_) {
+    state_.occupancy.Update(*gpu_, options);
+    gpu_->SetOccupancy(state_.occupancy);
+  } else {
+    state_.occupancy.Update(state_.field, options);
+  }
   ++state_.occupancy_updates;
 }
 
@@ -114,10 +131,12 @@ void Trainer::Shrink() {
   std::array<double, 3> low, high;
   state_.map.ToScene(box.min.data(), low.data());
   state_.map.ToScene(box.max.data(), high.data());
+  Download();
   state_.field.Crop(box.min, box.max);
   state_.map = SceneMap::FromBox(low, high, false);
   state_.ResetAdam();
   state_.occupancy = OccupancyGrid(preset_.train.occupancy_resolution);
+  StateChanged();
   UpdateOccupancy(/*all_cells=*/true);
   LogDetail("the box shrinks to " + std::to_string(int(std::lround(100 * volume))) + " % of its volume");
 }
@@ -126,7 +145,7 @@ void Trainer::FollowSchedule(double progress) {
   const TrainConfig& config = preset_.train;
   const int stage = StepStage(config, progress);
   if (stage != state_.step_stage && config.reset_with_step) {
-    state_.ResetAdam();
+    ResetAdam();
     state_.progress_at_reset = progress;
   }
   state_.step_stage = stage;
@@ -152,81 +171,153 @@ void Trainer::Step() {
   const TrainConfig& config = preset_.train;
   const double progress = Progress();
   FollowSchedule(progress);
-
-  const PixelSource::Batch batch = pixels_.Draw(state_.n_rays, options_.seed, uint64_t(state_.step));
   RenderOptions options = EvaluationOptions();
   options.jitter = {options_.seed, uint64_t(state_.step)};
-  LossWeights weights{.orientation = config.orientation_weight,
-                      .density_l1 = MomentsBehind(config.shrink_moments, progress) == 0
-                                        ? config.density_l1_weight
-                                        : config.density_l1_weight_later,
-                      .sparsity = config.sparsity_weight};
-  std::optional<DepthSource::Batch> depths;
-  if (config.depth_weight > 0 && !depths_.empty()) {
-    weights.depth = config.depth_weight;
-    depths = depths_.Draw(config.depth_rays, options_.seed, uint64_t(state_.step), state_.map, options.step);
-  }
-  const TrainingStep::Result result =
-      step_.Run(batch, depths ? &*depths : nullptr, state_.occupancy, state_.map, options, weights);
-
-  const std::string not_finite = NotFinite(result);
-  if (not_finite.empty()) {
-    Optimise(progress);
-    state_.n_skipped_in_row = 0;
-    state_.train_mse =
-        state_.train_mse < 0 ? result.mse : kMseMemory * state_.train_mse + (1 - kMseMemory) * result.mse;
+  const LossWeights weights{.orientation = config.orientation_weight,
+                            .density_l1 = MomentsBehind(config.shrink_moments, progress) == 0
+                                              ? config.density_l1_weight
+                                              : config.density_l1_weight_later,
+                            .sparsity = config.sparsity_weight,
+                            .depth = depths_.empty() ? 0 : config.depth_weight};
+  if (gpu_) {
+    StepOnGpu(progress, options, weights);
   } else {
-    ++state_.n_skipped;
-    if (options_.check) {
-      throw TrainingDiverged("training met " + not_finite + " at step " + std::to_string(state_.step));
-    }
-    if (++state_.n_skipped_in_row == kMostSkipped) {
-      throw TrainingDiverged("training met " + not_finite + " in each of " + std::to_string(kMostSkipped) +
-                             " steps up to step " + std::to_string(state_.step) +
-                             "; look for wrong poses in the scene, or lower the preset's rates");
-    }
+    StepOnCpu(progress, options, weights);
   }
-  if (options_.check) CheckState();
-  if (not_finite.empty() && progress >= config.average_from && state_.step % config.average_interval == 0) {
-    state_.AddToAverage();
+  if (options_.check) {
+    Download();
+    CheckState();
   }
-  if (config.target_shaded > 0) {
-    // Half of the way, so that one unusual batch does not throw it off.
-    const double wanted =
-        double(state_.n_rays) * double(config.target_shaded) / double(std::max<int64_t>(result.n_shaded, 1));
-    state_.n_rays = std::clamp(int64_t(0.5 * (double(state_.n_rays) + wanted)),
-                               std::min(kFewestRays, int64_t(config.max_rays)), int64_t(config.max_rays));
-  }
-  state_.samples += result.n_samples;
   ++state_.step;
   step_seconds_ = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   state_.seconds += step_seconds_;
 }
 
+void Trainer::StepOnCpu(double progress, const RenderOptions& options, const LossWeights& weights) {
+  const PixelSource::Batch batch = pixels_.Draw(state_.n_rays, options_.seed, uint64_t(state_.step));
+  std::optional<DepthSource::Batch> depths;
+  if (weights.depth > 0) {
+    depths = depths_.Draw(preset_.train.depth_rays, options_.seed, uint64_t(state_.step), state_.map, options.step);
+  }
+  const TrainingStep::Result result =
+      step_.Run(batch, depths ? &*depths : nullptr, state_.occupancy, state_.map, options, weights);
+  const std::string not_finite = NotFinite(result);
+  if (not_finite.empty()) {
+    Optimise(progress);
+    if (AveragesAt(progress)) state_.AddToAverage();
+  }
+  Account({result, state_.step, state_.n_rays, not_finite});
+}
+
+// What is not finite changes nothing there, either; it is heard of a few steps later.
+void Trainer::StepOnGpu(double progress, const RenderOptions& options, const LossWeights& weights) {
+  const GpuTraining::Batch batch{state_.n_rays, weights.depth > 0 ? preset_.train.depth_rays : 0, options_.seed,
+                                 uint64_t(state_.step)};
+  const auto found = gpu_->Step(batch, state_.map, options, weights, preset_.train,
+                                {Rate(progress, /*grid=*/true), Rate(progress, /*grid=*/false)});
+  if (AveragesAt(progress)) gpu_->AddToAverage(++state_.n_averaged);
+  if (found) Account(*found);
+}
+
+void Trainer::Account(const GpuTraining::Found& found) {
+  state_.adam_t = found.adam_t;
+  if (!found.had_room) return;
+  std::string not_finite = NotFiniteLoss(found.result);
+  if (not_finite.empty() && found.not_finite >= 0) {
+    size_t parameter = 0;
+    int64_t element = found.not_finite;
+    while (element >= state_.field.parameters()[parameter].value.numel()) {
+      element -= state_.field.parameters()[parameter++].value.numel();
+    }
+    not_finite = "a non-finite gradient of " + Where(parameter, element);
+  }
+  Account({found.result, int64_t(found.step), found.n_rays, not_finite});
+}
+
+void Trainer::Account(const Found& found) {
+  const TrainConfig& config = preset_.train;
+  if (found.not_finite.empty()) {
+    state_.n_skipped_in_row = 0;
+    state_.train_mse =
+        state_.train_mse < 0 ? found.result.mse : kMseMemory * state_.train_mse + (1 - kMseMemory) * found.result.mse;
+  } else {
+    ++state_.n_skipped;
+    if (options_.check) {
+      throw TrainingDiverged("training met " + found.not_finite + " at step " + std::to_string(found.step));
+    }
+    if (++state_.n_skipped_in_row == kMostSkipped) {
+      throw TrainingDiverged("training met " + found.not_finite + " in each of " + std::to_string(kMostSkipped) +
+                             " steps up to step " + std::to_string(found.step) +
+                             "; look for wrong poses in the scene, or lower the preset's rates");
+    }
+  }
+  if (config.target_shaded > 0) {
+    // Half of the way, so that one unusual batch does not throw it off.
+    const double wanted =
+        double(found.n_rays) * double(config.target_shaded) / double(std::max<int64_t>(found.result.n_shaded, 1));
+    state_.n_rays = std::clamp(int64_t(0.5 * (double(found.n_rays) + wanted)),
+                               std::min(kFewestRays, int64_t(config.max_rays)), int64_t(config.max_rays));
+  }
+  state_.samples += found.result.n_samples;
+}
+
+bool Trainer::AveragesAt(double progress) const {
+  return progress >= preset_.train.average_from && state_.step % preset_.train.average_interval == 0;
+}
+
+void Trainer::Sync() {
+  if (!gpu_) return;
+  const auto start = std::chrono::steady_clock::now();
+  Settle();
+  // What was queued is part of the steps.
+  state_.seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  gpu_->Download(state_);
+}
+
+void Trainer::Settle() {
+  if (!gpu_) return;
+  for (const GpuTraining::Found& found : gpu_->Finish()) Account(found);
+}
+
+void Trainer::StateChanged() {
+  if (!gpu_) return;
+  gpu_->Finish();  // of the state that is gone
+  gpu_->Upload(state_);
+}
+
+void Trainer::Download() {
+  Settle();
+  if (gpu_) gpu_->Download(state_);
+}
+
+void Trainer::ResetAdam() {
+  Download();
+  state_.ResetAdam();
+  StateChanged();
+}
+
 std::string Trainer::NotFinite(const TrainingStep::Result& result) const {
-  for (const auto& [name, loss] : {std::pair("colour", result.mse),
-                                   {"orientation", result.orientation},
-                                   {"sparsity", result.sparsity},
-                                   {"depth", result.depth}}) {
-    if (std::isfinite(loss)) continue;
-    return std::string(std::isnan(loss) ? "a loss that is not a number (" : "an infinite loss (") + name + ")";
-  }
-  for (size_t i = 0; i < step_.gradients().size(); ++i) {
+  std::string not_finite = NotFiniteLoss(result);
+  for (size_t i = 0; not_finite.empty() && i < step_.gradients().size(); ++i) {
     const std::string where = NotFiniteIn(step_.gradients()[i], i);
-    if (!where.empty()) return "a non-finite gradient of " + where;
+    if (!where.empty()) not_finite = "a non-finite gradient of " + where;
   }
-  return {};
+  return not_finite;
 }
 
 std::string Trainer::NotFiniteIn(const Tensor& values, size_t parameter) const {
   const auto* data = values.const_data_ptr<float>();
   if (AllFinite(data, values.numel())) return {};
+  return Where(parameter,
+               std::find_if(data, data + values.numel(), [](float value) { return !std::isfinite(value); }) - data);
+}
+
+std::string Trainer::Where(size_t parameter, int64_t element) const {
   const std::string& name = state_.field.parameters()[parameter].name;
-  const auto at = std::find_if(data, data + values.numel(), [](float value) { return !std::isfinite(value); }) - data;
   if (!state_.field.parameters()[parameter].is_grid) return name;
   const GridLayout& layout = name == "density_grid" ? state_.field.density_layout() : state_.field.appearance_layout();
   size_t entry = 0;
-  while (entry + 1 < layout.levels.size() && layout.levels[entry + 1].plane_offsets[0] <= at) ++entry;
+  while (entry + 1 < layout.levels.size() && layout.levels[entry + 1].plane_offsets[0] <= element) ++entry;
   const size_t n_entries = layout.levels.size() / size_t(state_.field.config().levels);  // of a level
   return "level " + std::to_string(entry / n_entries) + " (" + std::to_string(layout.levels[entry].resolution) +
          " nodes) of " + name;
@@ -245,7 +336,11 @@ void Trainer::CheckState() const {
   }
 }
 
-Json Trainer::Evidence() const {
+Json Trainer::Evidence() {
+  if (gpu_) {
+    gpu_->Finish();
+    gpu_->Download(state_);
+  }
   Json parameters = Json::array();
   for (const NrffField::Parameter& parameter : state_.field.parameters()) {
     const auto* data = parameter.value.const_data_ptr<float>();
@@ -265,18 +360,22 @@ Json Trainer::Evidence() const {
           {"parameters", parameters}};
 }
 
+double Trainer::Rate(double progress, bool grid) const {
+  const TrainConfig& config = preset_.train;
+  return state_.rate_scale * RateFactor(config, progress, state_.progress_at_reset) *
+         (grid ? config.grid_rate : config.network_rate);
+}
+
 void Trainer::Optimise(double progress) {
   const TrainConfig& config = preset_.train;
   ++state_.adam_t;
-  const double factor = RateFactor(config, progress, state_.progress_at_reset);
   const std::vector<NrffField::Parameter>& parameters = state_.field.parameters();
   for (size_t i = 0; i < parameters.size(); ++i) {
-    const AdamOptions options{
-        .learning_rate = state_.rate_scale * factor * (parameters[i].is_grid ? config.grid_rate : config.network_rate),
-        .beta1 = config.beta1,
-        .beta2 = config.beta2,
-        .epsilon = config.epsilon,
-        .lazy = parameters[i].is_grid && config.lazy_grids};
+    const AdamOptions options{.learning_rate = Rate(progress, parameters[i].is_grid),
+                              .beta1 = config.beta1,
+                              .beta2 = config.beta2,
+                              .epsilon = config.epsilon,
+                              .lazy = parameters[i].is_grid && config.lazy_grids};
     const Tensor& gradient = step_.gradients()[i];
     AdamStep(options, state_.adam_t, gradient.numel(), gradient.const_data_ptr<float>(),
              parameters[i].value.mutable_data_ptr<float>(), state_.adam_m[i].mutable_data_ptr<float>(),

@@ -6,10 +6,12 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <string>
 #include <vector>
 
 #include "model/config.h"
+#include "model/cuda/gpu_training.h"
 #include "model/depth_batch.h"
 #include "model/ray_batch.h"
 #include "model/train_state.h"
@@ -24,6 +26,7 @@ struct TrainOptions {
   uint64_t seed = 0;
   // Ends at the first number that is not finite, and looks for one in every parameter and moment after every step, too.
   bool check = false;
+  GpuTrainerFactory gpu = {};  // trains there; null: on the CPU
 };
 
 class Trainer {
@@ -44,6 +47,10 @@ class Trainer {
   void Step();
   static constexpr int kMostSkipped = 20;
 
+  // On a GPU, the parameters, moments and mean of state() are those of the last Sync.
+  void Sync();
+  // To be called when state() was changed from outside.
+  void StateChanged();
   TrainState& state() { return state_; }
   const TrainState& state() const { return state_; }
   const Preset& preset() const { return preset_; }
@@ -51,24 +58,40 @@ class Trainer {
   // How images of the present model are rendered.
   RenderOptions EvaluationOptions() const;
 
-  // Throws TrainingDiverged when a parameter or a moment of Adam's is not finite.
+  // Throws TrainingDiverged when a parameter or a moment of Adam's is not finite. After Sync.
   void CheckState() const;
 
   // What a person needs to find out why training diverged: {step, seed: which together give the batch, n_rays,
   // n_skipped, rate_scale, rollbacks, parameters [{name, largest: of the finite ones' size, n_not_finite}]}.
-  Json Evidence() const;
+  Json Evidence();
 
   // dB; NaN before the first step.
   double TrainPsnr() const;
 
  private:
+  // What a step found, wherever it was done.
+  struct Found {
+    TrainingStep::Result result;
+    int64_t step = 0, n_rays = 0;
+    std::string not_finite;  // what is, or empty
+  };
   void FollowSchedule(double progress);
+  void ResetAdam();
+  void Settle();    // accounts for all steps that were queued
+  void Download();  // Sync within a step
+  void StepOnCpu(double progress, const RenderOptions& options, const LossWeights& weights);
+  void StepOnGpu(double progress, const RenderOptions& options, const LossWeights& weights);
+  void Account(const GpuTraining::Found& found);
+  void Account(const Found& found);
+  bool AveragesAt(double progress) const;
   void UpdateOccupancy(bool all_cells);
   void Shrink();
-  // What of the step is not finite, if anything.
+  // What of the CPU's step is not finite, if anything.
   std::string NotFinite(const TrainingStep::Result& result) const;
   // "level 3 (40 nodes) of density_grid" for the first element that is not finite; empty where there is none.
   std::string NotFiniteIn(const torch::Tensor& values, size_t parameter) const;
+  std::string Where(size_t parameter, int64_t element) const;
+  double Rate(double progress, bool grid) const;
   void Optimise(double progress);
 
   const Scene& scene_;
@@ -80,6 +103,7 @@ class Trainer {
   TrainState state_;
   double step_seconds_ = 0;  // of the last step
   TrainingStep step_;        // of state_.field
+  std::unique_ptr<GpuTraining> gpu_;
 };
 
 }  // namespace nrff

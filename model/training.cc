@@ -85,6 +85,7 @@ void Resume(const std::filesystem::path& dir, const std::string& settings, const
   if (!std::filesystem::exists(dir / kCheckpointFile)) return;
   try {
     LoadCheckpoint(dir, settings, trainer->state());
+    trainer->StateChanged();
     ++trainer->state().resumed;
     LogInfo("training goes on from step " + std::to_string(trainer->state().step));
   } catch (const Error& error) {
@@ -128,6 +129,7 @@ void WriteChoice(const std::filesystem::path& dir, const Decision& decision) {
 void Evaluate(const HeldOutViews& held_out, Trainer& trainer) {
   TrainState& state = trainer.state();
   const auto start = Clock::now();
+  trainer.Sync();
   state.SwapAverage();
   const double psnr = held_out.Psnr(state.field, state.occupancy, state.map, trainer.EvaluationOptions());
   state.SwapAverage();
@@ -177,6 +179,7 @@ void RollBack(const std::filesystem::path& dir, const std::string& settings, con
   state.seconds = seconds;
   state.n_skipped = n_skipped;
   state.n_skipped_in_row = 0;
+  trainer.StateChanged();
   LogWarning(std::string(diverged.what()) + "; training goes on from step " + std::to_string(state.step) +
              " with rates divided by " + std::to_string(std::lround(1 / rate_scale)));
 }
@@ -198,11 +201,14 @@ void TrainToTheEnd(Trainer& trainer, const HeldOutViews& held_out, const std::st
         if (!held_out.empty()) Evaluate(held_out, trainer);
       }
       if (state.seconds - seconds_at_checkpoint > kSecondsPerCheckpoint && state.n_skipped_in_row == 0) {
+        trainer.Sync();
         SaveCheckpoint(artifact.dir(), state, settings);
         artifact.SaveSeconds();
         seconds_at_checkpoint = state.seconds;
       }
-      if (trainer.Done()) trainer.CheckState();  // what is kept is finite
+      if (!trainer.Done()) continue;
+      trainer.Sync();
+      trainer.CheckState();  // what is kept is finite
     } catch (const TrainingDiverged& diverged) {
       RollBack(artifact.dir(), settings, diverged, check ? 0 : kMostRollbacks, trainer);
     }

@@ -88,6 +88,7 @@ class ImagePack {
   ImagePack(const ImagePack&) = delete;
   ImagePack& operator=(const ImagePack&) = delete;
   const uint8_t* Pixels(const View& view) const { return data_ + view.pack_offset; }
+  const uint8_t* data() const { return data_; }
   uint64_t size_bytes() const { return size_; }
 
  private:

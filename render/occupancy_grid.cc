@@ -15,7 +15,6 @@ namespace {
 
 constexpr int64_t kCellsPerBlock = int64_t{kOccupancyBlock} * kOccupancyBlock * kOccupancyBlock;
 constexpr float kNeverMeasured = -1;
-constexpr int64_t kMeasuredAtOnce = 1024;  // points per call of the field
 
 int64_t CountBits(const std::vector<uint64_t>& words) {
   int64_t n = 0;
@@ -160,17 +159,18 @@ std::vector<int64_t> OccupancyGrid::ChooseCells(const UpdateOptions& options) co
   return cells;
 }
 
-void OccupancyGrid::Measure(const RadianceField& field, const std::vector<int64_t>& cells,
+void OccupancyGrid::Measure(const DensitySource& field, const std::vector<int64_t>& cells,
                             const UpdateOptions& options) {
   const uint64_t stream = StreamAt(RandomStream::kOccupancyJitter, options.counter);
   const float cell_size = 2.F / static_cast<float>(resolution_);
   const auto step = static_cast<float>(options.step);
   const auto n_cells = static_cast<int64_t>(cells.size());
   std::vector<float> measured(n_cells);
+  const int64_t n_at_once = std::min(field.points_at_once(), n_cells);
 #pragma omp parallel for schedule(dynamic)
-  for (int64_t begin = 0; begin < n_cells; begin += kMeasuredAtOnce) {
-    const int64_t n = std::min<int64_t>(kMeasuredAtOnce, n_cells - begin);
-    float points[3 * kMeasuredAtOnce];
+  for (int64_t begin = 0; begin < n_cells; begin += n_at_once) {
+    const int64_t n = std::min(n_at_once, n_cells - begin);
+    std::vector<float> points(3 * n);
     for (int64_t i = 0; i < n; ++i) {
       const std::array<int, 3> cell = CellAt(cells[begin + i]);
       for (int k = 0; k < 3; ++k) {
@@ -178,7 +178,7 @@ void OccupancyGrid::Measure(const RadianceField& field, const std::vector<int64_
         points[3 * i + k] = (static_cast<float>(cell[k]) + jitter) * cell_size - 1;
       }
     }
-    field.DensityOf(points, n, &measured[begin]);
+    field.DensityOf(points.data(), n, &measured[begin]);
     for (int64_t i = 0; i < n; ++i) measured[begin + i] = -std::expm1(-measured[begin + i] * step);
   }
   for (int64_t i = 0; i < n_cells; ++i) {  // in order: a cell may have been drawn twice
@@ -187,7 +187,7 @@ void OccupancyGrid::Measure(const RadianceField& field, const std::vector<int64_
   }
 }
 
-void OccupancyGrid::Update(const RadianceField& field, const UpdateOptions& options) {
+void OccupancyGrid::Update(const DensitySource& field, const UpdateOptions& options) {
   Measure(field, ChooseCells(options), options);
   SetOccupied(options.threshold, options.dilate);
 }

@@ -17,7 +17,7 @@
 
 namespace nrff {
 
-class RadianceField;
+class DensitySource;
 
 class OccupancyGrid {
  public:
@@ -34,8 +34,8 @@ class OccupancyGrid {
     uint64_t seed = 0, counter = 0;  // of the draws and of the point in the cell (render/kernels/random.h)
     bool dilate = false;  // also the 26 neighbours of an occupied cell (3³ max-pool of the paper's schedule)
   };
-  // Evaluates field.Density at a random point (float) in each chosen cell, without gradients, and sets the bits anew.
-  void Update(const RadianceField& field, const UpdateOptions& options);
+  // Evaluates the density at a random point (float) in each chosen cell, without gradients, and sets the bits anew.
+  void Update(const DensitySource& field, const UpdateOptions& options);
 
   // Only cells that at least `min_views` of the views see remain sampled, from now on. A view sees a cell when its
   // frustum beyond `near` (scene units) meets any of it.
@@ -70,7 +70,7 @@ class OccupancyGrid {
   std::array<int, 3> CellAt(int64_t index) const;
   int64_t IndexOf(int x, int y, int z) const;
   std::vector<int64_t> ChooseCells(const UpdateOptions& options) const;
-  void Measure(const RadianceField& field, const std::vector<int64_t>& cells, const UpdateOptions& options);
+  void Measure(const DensitySource& field, const std::vector<int64_t>& cells, const UpdateOptions& options);
   void SetOccupied(float threshold, bool dilate);
   void Dilate();
   void SetBlocks();

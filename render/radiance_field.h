@@ -13,12 +13,20 @@ namespace nrff {
 enum class ShadingPrecision { kFloat, kBf16 };
 
 // Field coordinates: the scene map (scene_map.h) takes scene points to [-1, 1]³.
-class RadianceField {
+class DensitySource {
  public:
-  virtual ~RadianceField() = default;
+  virtual ~DensitySource() = default;
 
   // points [n, 3] in field coordinates → extinction coefficient sigma [n] ≥ 0, per unit of the length that sample
-  // intervals are measured in (Samples::delta). Differentiable with respect to the field's parameters.
+  // intervals are measured in (Samples::delta). In float and without gradients; any number of threads at once.
+  virtual void DensityOf(const float* points, int64_t n, float* sigma) const = 0;
+  // How many points a caller with many should give at once.
+  virtual int64_t points_at_once() const { return 1024; }
+};
+
+class RadianceField : public DensitySource {
+ public:
+  // DensityOf for tensors, points [n, 3] → sigma [n], differentiable with respect to the field's parameters.
   virtual torch::Tensor Density(const torch::Tensor& points) const = 0;
 
   struct Shading {
@@ -28,9 +36,8 @@ class RadianceField {
   // points as above; ray_directions [n, 3] unit, leaving the camera.
   virtual Shading Shade(const torch::Tensor& points, const torch::Tensor& ray_directions) const = 0;
 
-  // The same for one thread of a renderer, in float and without gradients. By default by way of the above.
-  // points [n, 3] → sigma [n]
-  virtual void DensityOf(const float* points, int64_t n, float* sigma) const;
+  // By default by way of Density, as MakeShader is by way of Shade: for one thread of a renderer.
+  void DensityOf(const float* points, int64_t n, float* sigma) const override;
   class Shader {
    public:
     virtual ~Shader() = default;

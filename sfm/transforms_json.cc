@@ -284,6 +284,7 @@ std::optional<std::array<double, 6>> SyntheticBox(const ColmapModel& model) {
   const std::optional<Eigen::Vector3d> focus = FocusPoint(cameras);
   if (!focus) return {};
   std::vector<double> distances;
+  distances.reserve(cameras.size());
   for (const PosedCamera& camera : cameras) distances.push_back((camera.center - *focus).norm());
   const double half = kSyntheticHalfExtent * Median(std::move(distances));
   if (!(half > 0) || !std::isfinite(half) || !focus->allFinite()) return {};

@@ -20,6 +20,7 @@
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "render/compute.h"
+#include "tests/ball_scene.h"
 #include "tests/temporary_directory.h"
 
 namespace nrff {
@@ -28,132 +29,8 @@ namespace {
 using ::testing::HasSubstr;
 using torch::Tensor;
 
-constexpr int kSize = 32;  // px
-
-// What a camera at `eye` looking at the origin sees of a shaded ball of radius 0.5: RGBA.
-std::vector<uint8_t> BallImage(const View& view) {
-  std::vector<uint8_t> pixels;
-  const Mat4& m = view.scene_from_camera;
-  for (int y = 0; y < kSize; ++y) {
-    for (int x = 0; x < kSize; ++x) {
-      const double camera[3] = {(x + 0.5 - view.cx) / view.fx, (y + 0.5 - view.cy) / view.fy, 1};
-      double d[3], o[3] = {m[3], m[7], m[11]}, dd = 0, od = 0, oo = 0;
-      for (int k = 0; k < 3; ++k) {
-        d[k] = m[4 * k] * camera[0] + m[4 * k + 1] * camera[1] + m[4 * k + 2] * camera[2];
-        dd += d[k] * d[k];
-        od += o[k] * d[k];
-        oo += o[k] * o[k];
-      }
-      const double root = od * od - dd * (oo - 0.25);
-      const bool hit = root > 0;
-      const double t = hit ? (-od - std::sqrt(root)) / dd : 0;
-      for (int k = 0; k < 3; ++k) {
-        const double normal = 2 * (o[k] + t * d[k]);
-        pixels.push_back(hit ? uint8_t(std::lround(127.5 + 100 * normal)) : 0);
-      }
-      pixels.push_back(hit ? 255 : 0);
-    }
-  }
-  return pixels;
-}
-
-// Six views of the ball around the equator to train on, two above to hold out.
-Scene WriteBallScene(const std::filesystem::path& dir) {
-  Scene scene;
-  scene.name = "ball";
-  scene.background = Background::kWhite;
-  scene.near = 0.5;
-  scene.far = 5;
-  scene.scene_from_world = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
-  std::ofstream pack(dir / kPackFile, std::ios::binary);
-  for (int i = 0; i < 8; ++i) {
-    const double azimuth = 2 * std::numbers::pi * i / 6, height = i < 6 ? 0.5 * (i % 2) : 1;
-    const double norm = std::sqrt(1 + height * height), c = std::cos(azimuth), s = std::sin(azimuth);
-    const double z[3] = {-c / norm, -s / norm, -height / norm}, right[3] = {-s, c, 0};
-    const double down[3] = {z[1] * right[2] - z[2] * right[1], z[2] * right[0] - z[0] * right[2],
-                            z[0] * right[1] - z[1] * right[0]};
-    View view;
-    view.id = "00000" + std::to_string(i);
-    view.name = view.id + ".png";
-    view.split = i < 6 ? Split::kTrain : Split::kTest;
-    view.width = view.height = kSize;
-    view.channels = 4;
-    view.pack_offset = uint64_t(i) * kSize * kSize * 4;
-    view.fx = view.fy = 1.5 * kSize;
-    view.cx = view.cy = kSize / 2.;
-    view.scene_from_camera = {0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1};
-    for (int k = 0; k < 3; ++k) {
-      view.scene_from_camera[4 * k] = right[k];
-      view.scene_from_camera[4 * k + 1] = down[k];
-      view.scene_from_camera[4 * k + 2] = z[k];
-      view.scene_from_camera[4 * k + 3] = -2 * z[k];
-    }
-    scene.views.push_back(view);
-    const std::vector<uint8_t> pixels = BallImage(view);
-    pack.write(reinterpret_cast<const char*>(pixels.data()), std::streamsize(pixels.size()));
-  }
-  pack.close();
-  SaveScene(scene, dir);
-  SaveSparseDepths({}, dir);
-  return scene;
-}
-
-// Points of the ball's front on rays of the training views.
-std::vector<SparseDepth> BallDepths(const Scene& scene) {
-  std::vector<SparseDepth> depths;
-  for (const int v : scene.ViewsOf(Split::kTrain)) {
-    const Mat4& m = scene.views[v].scene_from_camera;
-    const double norm = std::sqrt(m[3] * m[3] + m[7] * m[7] + m[11] * m[11]);
-    for (const double lean : {-0.6, -0.3, 0., 0.3, 0.6}) {  // radians from the direction of the camera
-      SparseDepth depth{uint32_t(v), {}, 0.005F};
-      for (int k = 0; k < 3; ++k)
-        depth.position[k] = float(0.5 * (std::cos(lean) * m[4 * k + 3] / norm + std::sin(lean) * m[4 * k]));
-      depths.push_back(depth);
-    }
-  }
-  return depths;
-}
-
-Preset TestPreset(int64_t steps) {
-  Preset preset = MakePreset("tiny", false);
-  preset.field.levels = 2;
-  preset.field.max_resolution = 24;
-  preset.field.spatial_width = preset.field.directional_width = 16;
-  preset.field.lobes_theta = 3;
-  preset.field.lobes_phi = 4;
-  preset.train.steps = steps;
-  preset.train.rays = 256;
-  preset.train.max_rays = 512;
-  preset.train.target_shaded = 1024;
-  preset.train.occupancy_resolution = 32;
-  preset.train.occupancy_cells = 2048;
-  preset.train.step_voxels = {16, 32};
-  preset.train.step_moments = {0.2};
-  return preset;
-}
-
-class TrainTest : public ::testing::Test {
- protected:
-  TrainTest() : scene_(WriteBallScene(directory_.path())), pack_(directory_.path()) { SetThreads(1); }
-
-  double HeldOutPsnr(const Trainer& trainer) const {
-    const TrainState& state = trainer.state();
-    return HeldOutViews(scene_, pack_, 1).Psnr(state.field, state.occupancy, state.map, trainer.EvaluationOptions());
-  }
-  // The bytes that SaveModel writes for the state.
-  std::string ModelBytes(const Trainer& trainer) const {
-    const TemporaryDirectory out;
-    SaveModel(out.path(), trainer.state(), trainer.EvaluationOptions());
-    return ReadFile(out.path() / kModelFile);
-  }
-
-  TemporaryDirectory directory_;
-  Scene scene_;
-  ImagePack pack_;
-};
-
 TEST_F(TrainTest, ImprovesOnViewsItHasNotSeen) {
-  Trainer trainer(scene_, pack_, {}, TestPreset(300), {});
+  Trainer trainer(scene_, pack_, {}, BallPreset(300), {});
   const double before = HeldOutPsnr(trainer);
   while (!trainer.Done()) trainer.Step();
   const double after = HeldOutPsnr(trainer);
@@ -164,7 +41,7 @@ TEST_F(TrainTest, ImprovesOnViewsItHasNotSeen) {
 }
 
 TEST_F(TrainTest, StoppedAndResumedGivesTheSameBitsAsNeverStopped) {
-  Preset preset = TestPreset(60);  // the step changes, occupancy is updated and the box shrinks on the way
+  Preset preset = BallPreset(60);  // the step changes, occupancy is updated and the box shrinks on the way
   preset.train.depth_weight = 0.1;
   preset.train.average_from = 0.6;
   preset.train.average_interval = 5;
@@ -194,7 +71,7 @@ TEST_F(TrainTest, StoppedAndResumedGivesTheSameBitsAsNeverStopped) {
 
 // From average_from on, of every average_interval-th step.
 TEST_F(TrainTest, AverageIsTheMeanOfTheParametersOnTheWay) {
-  Preset preset = TestPreset(60);
+  Preset preset = BallPreset(60);
   preset.train.average_from = 0.5;
   preset.train.average_interval = 4;
   Trainer trainer(scene_, pack_, {}, preset, {.seed = 3});
@@ -227,7 +104,7 @@ TEST_F(TrainTest, AverageIsTheMeanOfTheParametersOnTheWay) {
 }
 
 TEST_F(TrainTest, AnotherSeedGivesAnotherModel) {
-  Trainer a(scene_, pack_, {}, TestPreset(2), {.seed = 1}), b(scene_, pack_, {}, TestPreset(2), {.seed = 2});
+  Trainer a(scene_, pack_, {}, BallPreset(2), {.seed = 1}), b(scene_, pack_, {}, BallPreset(2), {.seed = 2});
   EXPECT_NE(ModelBytes(a), ModelBytes(b));
 }
 
@@ -237,17 +114,17 @@ TEST_F(TrainTest, HeldOutPixelsChangeNothing) {
   const uint64_t begin = scene.views[6].pack_offset;
   std::fstream pack(other.path() / kPackFile, std::ios::in | std::ios::out | std::ios::binary);
   pack.seekp(std::streamoff(begin));
-  pack << std::string(2 * kSize * kSize * 4, '\x55');
+  pack << std::string(2 * kBallViewSize * kBallViewSize * 4, '\x55');
   pack.close();
   const ImagePack other_pack(other.path());
-  Trainer a(scene_, pack_, {}, TestPreset(20), {}), b(scene, other_pack, {}, TestPreset(20), {});
+  Trainer a(scene_, pack_, {}, BallPreset(20), {}), b(scene, other_pack, {}, BallPreset(20), {});
   while (!a.Done()) a.Step();
   while (!b.Done()) b.Step();
   EXPECT_EQ(ModelBytes(a), ModelBytes(b));
 }
 
 TEST_F(TrainTest, ModelReadBackShowsTheSame) {
-  Trainer trainer(scene_, pack_, {}, TestPreset(40), {});
+  Trainer trainer(scene_, pack_, {}, BallPreset(40), {});
   while (!trainer.Done()) trainer.Step();
   const TemporaryDirectory out;
   SaveModel(out.path(), trainer.state(), trainer.EvaluationOptions());
@@ -260,7 +137,7 @@ TEST_F(TrainTest, ModelReadBackShowsTheSame) {
 }
 
 TEST_F(TrainTest, NothingThatIsNotFiniteIsWritten) {
-  Trainer trainer(scene_, pack_, {}, TestPreset(10), {});
+  Trainer trainer(scene_, pack_, {}, BallPreset(10), {});
   trainer.Step();
   const TemporaryDirectory out;
   SaveCheckpoint(out.path(), trainer.state(), "");
@@ -271,7 +148,7 @@ TEST_F(TrainTest, NothingThatIsNotFiniteIsWritten) {
 }
 
 TEST_F(TrainTest, StepsThatAreNotFiniteAreSkippedAndManyInARowEndWithTheEvidence) {
-  Trainer trainer(scene_, pack_, {}, TestPreset(100), {});
+  Trainer trainer(scene_, pack_, {}, BallPreset(100), {});
   trainer.Step();
   {
     const c10::NoGradGuard no_grad;
@@ -290,7 +167,7 @@ TEST_F(TrainTest, StepsThatAreNotFiniteAreSkippedAndManyInARowEndWithTheEvidence
 
 TEST_F(TrainTest, CheckFindsWhatLossesAndGradientsDoNotShow) {
   for (const bool check : {false, true}) {
-    Trainer trainer(scene_, pack_, {}, TestPreset(10), {.check = check});
+    Trainer trainer(scene_, pack_, {}, BallPreset(10), {.check = check});
     trainer.Step();
     trainer.state().adam_v[1].fill_(INFINITY);
     if (!check) {
@@ -309,13 +186,13 @@ TEST_F(TrainTest, CheckFindsWhatLossesAndGradientsDoNotShow) {
 
 TEST_F(TrainTest, ABoxWithoutSizeIsRefused) {
   scene_.aabb_max[1] = scene_.aabb_min[1];
-  EXPECT_THROW(Trainer(scene_, pack_, {}, TestPreset(10), {}), Error);
+  EXPECT_THROW(Trainer(scene_, pack_, {}, BallPreset(10), {}), Error);
 }
 
 TEST_F(TrainTest, ACameraThatIsNotFiniteIsRefusedByName) {
   scene_.views[2].scene_from_camera[3] = NAN;
   try {
-    const Trainer trainer(scene_, pack_, {}, TestPreset(10), {});
+    const Trainer trainer(scene_, pack_, {}, BallPreset(10), {});
     FAIL() << "was accepted";
   } catch (const Error& error) {
     EXPECT_EQ(error.code(), ExitCode::kInput);
@@ -324,7 +201,7 @@ TEST_F(TrainTest, ACameraThatIsNotFiniteIsRefusedByName) {
 }
 
 TEST_F(TrainTest, ADamagedOrForeignCheckpointIsRefused) {
-  Trainer trainer(scene_, pack_, {}, TestPreset(10), {});
+  Trainer trainer(scene_, pack_, {}, BallPreset(10), {});
   const TemporaryDirectory out;
   SaveCheckpoint(out.path(), trainer.state(), "these");
   EXPECT_THROW(LoadCheckpoint(out.path(), "those", trainer.state()), Error);
@@ -337,11 +214,11 @@ TEST_F(TrainTest, ADamagedOrForeignCheckpointIsRefused) {
 }
 
 TEST_F(TrainTest, ABudgetThatStepsDoNotDivideEndsOnTheNearerSide) {
-  Trainer one(scene_, pack_, {}, TestPreset(1'000'000), {.budget_seconds = 1e-6});
+  Trainer one(scene_, pack_, {}, BallPreset(1'000'000), {.budget_seconds = 1e-6});
   EXPECT_FALSE(one.Done());
   one.Step();
   EXPECT_TRUE(one.Done());
-  Trainer trainer(scene_, pack_, {}, TestPreset(1'000'000), {.budget_seconds = 10});
+  Trainer trainer(scene_, pack_, {}, BallPreset(1'000'000), {.budget_seconds = 10});
   trainer.Step();
   const double step = trainer.state().seconds;
   trainer.state().seconds = 10 - 0.6 * step;
@@ -351,7 +228,7 @@ TEST_F(TrainTest, ABudgetThatStepsDoNotDivideEndsOnTheNearerSide) {
 }
 
 TEST_F(TrainTest, ABudgetOfSecondsEndsTheTraining) {
-  Trainer trainer(scene_, pack_, {}, TestPreset(1'000'000), {.budget_seconds = 0.5});
+  Trainer trainer(scene_, pack_, {}, BallPreset(1'000'000), {.budget_seconds = 0.5});
   double before = 0, last = 0, longest = 0;
   while (!trainer.Done()) {
     trainer.Step();
@@ -363,165 +240,6 @@ TEST_F(TrainTest, ABudgetOfSecondsEndsTheTraining) {
   EXPECT_LE(trainer.state().seconds, 0.5 + longest);
   EXPECT_LT(trainer.state().step, 1'000'000);
   EXPECT_EQ(trainer.state().step_stage, 1);  // the schedule went with it
-}
-
-// The whole stage, twice into the same place: the second time a damaged checkpoint lies there.
-// The stage as nrff-train runs it.
-class TrainStage : public TrainTest {
- protected:
-  TrainStage() {
-    ArtifactWriter scene_artifact("pose", directory_.path() / "pose", {}, {});
-    WriteBallScene(scene_artifact.dir());
-    SaveSparseDepths(BallDepths(scene_), scene_artifact.dir());
-    for (const char* output : {kSceneFile, kPackFile, kDepthFile}) scene_artifact.AddOutput(output);
-    scene_artifact.Commit();
-    request.scene_dir = directory_.path() / "pose";
-    request.out = directory_.path() / "train";
-    request.preset = "tiny";
-    request.steps = 12;
-    request.n_threads = 1;
-  }
-
-  TrainingRequest request;
-};
-
-TEST_F(TrainStage, SettingsAndForcedDecisionsAreInTheModelAndTheManifest) {
-  request.settings = "field.levels=3 train.depth_rays=16";
-  request.fine_levels = false;
-  request.sparse_depth = true;
-  RunTraining(request, {});
-  const Manifest manifest = RequireArtifact(request.out, "train");
-  const Json& settings = manifest.facts.at("settings");
-  EXPECT_EQ(settings.at("train").at("depth_rays"), 16);
-  EXPECT_GT(settings.at("train").at("depth_weight"), 0);
-  EXPECT_EQ(settings.at("field").at("max_resolution"), 32) << "an octave below tiny's 64";
-  EXPECT_EQ(settings.at("field").at("levels"), 2);
-  for (const Decision& decision : manifest.decisions) {
-    if (decision.feature == "cuda") continue;
-    EXPECT_EQ(decision.reason, "forced by an option") << decision.feature;
-  }
-}
-
-// On this scene 1e4 is just too much and a quarter of it is not.
-TEST_F(TrainStage, GoesBackWithSmallerRatesWhenTheyExplode) {
-  request.steps = 60;
-  request.settings = "train.network_rate=1e4 train.grid_rate=1e4";
-  RunTraining(request, {});
-  const Json facts = RequireArtifact(request.out, "train").facts;
-  EXPECT_GT(facts.at("rollbacks"), 0);
-  EXPECT_EQ(facts.at("steps"), 60);
-}
-
-TEST_F(TrainStage, SaysWhatItMetWhenGoingBackDoesNotHelp) {
-  request.settings = "train.network_rate=1e20 train.grid_rate=1e20";
-  request.steps = 60;
-  try {
-    RunTraining(request, {});
-    FAIL() << "ended";
-  } catch (const Error& error) {
-    EXPECT_EQ(error.code(), ExitCode::kInput);
-    EXPECT_THAT(error.what(), HasSubstr("after 3 returns to the last checkpoint"));
-    EXPECT_THAT(error.what(), HasSubstr("diverged.json"));
-  }
-  const Json evidence = ReadJson(request.out.string() + ".partial/diverged.json");
-  EXPECT_EQ(evidence.at("rollbacks"), 3);
-  EXPECT_EQ(evidence.at("rate_scale"), 0.125);
-  EXPECT_GT(evidence.at("parameters").at(0).at("largest"), 1e10);
-  EXPECT_FALSE(std::filesystem::exists(request.out));
-}
-
-TEST_F(TrainStage, CheckEndsAtTheFirstNumberThatIsNotFinite) {
-  request.settings = "train.network_rate=1e20 train.grid_rate=1e20";
-  request.check = true;
-  try {
-    RunTraining(request, {});
-    FAIL() << "ended";
-  } catch (const Error& error) {
-    EXPECT_THAT(error.what(), HasSubstr("colours that are no numbers in held-out views by step 1; "));
-  }
-  EXPECT_EQ(ReadJson(request.out.string() + ".partial/diverged.json").at("rollbacks"), 0);
-}
-
-// Fewer steps than are left out before training goes back: what the held-out views show tells.
-TEST_F(TrainStage, AShortTrainingThatExplodesIsNoModelEither) {
-  request.settings = "train.network_rate=1e20 train.grid_rate=1e20";
-  request.steps = 8;
-  EXPECT_THROW(RunTraining(request, {}), Error);
-  EXPECT_TRUE(std::filesystem::exists(request.out.string() + ".partial/diverged.json"));
-}
-
-TEST_F(TrainStage, TheDirectionalEncodingIsGivenOnce) {
-  request.settings = "field.directional_encoding=\"pe\"";
-  request.directional = "none";
-  EXPECT_THROW(RunTraining(request, {}), Error);
-}
-
-TEST_F(TrainStage, SaturatedDensityIsNoFailure) {
-  request.settings = "field.density_shift=1e4";
-  RunTraining(request, {});
-  const Json facts = RequireArtifact(request.out, "train").facts;
-  EXPECT_EQ(facts.at("rollbacks"), 0);
-  EXPECT_EQ(facts.at("steps_skipped"), 0);
-}
-
-TEST_F(TrainStage, ABudgetTooShortForSmallTakesTiny) {
-#ifdef __SANITIZE_ADDRESS__
-  constexpr int kBudget = 10;  // one step takes half a second there
-#else
-  constexpr int kBudget = 1;
-#endif
-  request.preset = kAutoPreset;
-  request.steps = 0;
-  request.budget_seconds = kBudget;
-  RunTraining(request, {});
-  const Manifest manifest = RequireArtifact(request.out, "train");
-  EXPECT_EQ(manifest.facts.at("preset"), "tiny");
-  EXPECT_NEAR(manifest.facts.at("seconds_training").get<double>() / kBudget, 1, 0.2);
-  const Decision& decision = manifest.decisions.back();
-  EXPECT_EQ(decision.feature, "small_model");
-  EXPECT_FALSE(decision.needed);
-  EXPECT_THAT(decision.evidence, HasSubstr("steps of the preset small fit in " + std::to_string(kBudget) + " s"));
-  EXPECT_TRUE(needs::SmallModel(100, 10, /*unbounded=*/false).needed);
-  EXPECT_FALSE(needs::SmallModel(100, 10, /*unbounded=*/true).needed);
-}
-
-// Measured again, this budget would give tiny.
-TEST_F(TrainStage, GoesOnWithThePresetThatWasChosenBeforeItWasStopped) {
-  request.preset = kAutoPreset;
-  request.steps = 0;
-  request.budget_seconds = 1;
-  const Decision chosen{"small_model", true, "100 steps", "10 steps", "chosen before"};
-  {
-    const ArtifactWriter interrupted("train", request.out, {},
-                                     {ArtifactInput(request.scene_dir, RequireArtifact(request.scene_dir, "pose"))},
-                                     ArtifactWriter::kKeepPartial);
-    interrupted.SaveSeconds();
-    WriteFileAtomically(interrupted.dir() / "preset.json", Json(chosen).dump());
-  }
-  RunTraining(request, {});
-  const Manifest manifest = RequireArtifact(request.out, "train");
-  EXPECT_EQ(manifest.facts.at("preset"), "small");
-  EXPECT_EQ(manifest.decisions.back().reason, chosen.reason);
-}
-
-TEST_F(TrainStage, StartsAnewAfterADamagedCheckpoint) {
-  RunTraining(request, {{"steps", "12"}});
-  const Manifest manifest = RequireArtifact(request.out, "train");
-  EXPECT_EQ(manifest.facts.at("steps"), 12);
-  EXPECT_FALSE(manifest.facts.at("curve").empty());
-  EXPECT_EQ(manifest.facts.at("settings").at("train").at("steps"), 12);
-  const std::string model = ReadFile(request.out / kModelFile);
-
-  {
-    const ArtifactWriter interrupted("train", request.out, {{"steps", "12"}},
-                                     {ArtifactInput(request.scene_dir, RequireArtifact(request.scene_dir, "pose"))},
-                                     ArtifactWriter::kKeepPartial);
-    interrupted.SaveSeconds();
-    std::ofstream(interrupted.dir() / kCheckpointFile) << "not a checkpoint";
-  }
-  RunTraining(request, {{"steps", "12"}});
-  EXPECT_EQ(RequireArtifact(request.out, "train").facts.at("resumed"), 0);
-  EXPECT_EQ(ReadFile(request.out / kModelFile), model);
 }
 
 TEST(CropGrid, KeepsWhatIsLinearAndIsTheIdentityForTheWholeBox) {
@@ -570,7 +288,7 @@ TEST_F(TrainTest, SparseDepthsBringTheSurfaceToWhereTheyAre) {
   const std::vector<SparseDepth> depths = BallDepths(scene_);
   const DepthSource source(scene_, depths);
   const auto missed_light = [&](double weight) {
-    Preset preset = TestPreset(150);
+    Preset preset = BallPreset(150);
     preset.train.depth_weight = weight;
     Trainer trainer(scene_, pack_, depths, preset, {});
     while (!trainer.Done()) trainer.Step();

@@ -387,6 +387,7 @@ struct DecideStep {
     const double loss = result->mse + result->orientation + result->sparsity + result->depth;
     const bool finite = loss - loss == 0 && result->first_not_finite == ~0ULL;
     const bool fits = result->n_samples <= room_for_samples && result->n_shaded <= room_for_shaded;
+    result->had_room = fits ? 1 : 0;
     result->applied = finite && fits ? 1 : 0;
     if (result->applied != 0) {
       ++adam->t;

@@ -31,7 +31,7 @@ struct StepResult {
   int64_t adam_t = 0;                                        // behind the step
   uint64_t step = 0;                                         // StepControl::step
   int64_t n_rays = 0;                                        // with colours
-  int applied = 0;                                           // whether the step changed the model
+  int had_room = 0, applied = 0;                             // applied: whether the step changed the model
 };
 
 struct GpuView {

@@ -63,7 +63,10 @@ TEST(Cameras, FisheyeIsTheEquidistantProjection) {
   const Lens lens({1, CameraModel::kOpenCVFisheye, 1000, 1000, {300, 300, 500, 500, 0, 0, 0, 0}});
   Worst worst;
   bool answered_beyond = false;
-  for (double r = 1e-9; r < 500; r = r < 1 ? 10 * r : r + 7) {
+  std::vector<double> radii;
+  for (int power = -9; power < 0; ++power) radii.push_back(std::pow(10, power));
+  for (int pixel = 1; pixel < 500; pixel += 7) radii.push_back(pixel);
+  for (const double r : radii) {
     const double theta = r / 300;
     const auto uv = lens.CameraFromImage({500 + r, 500});
     if (theta > 0.5 * std::numbers::pi) answered_beyond = answered_beyond || uv.has_value();

@@ -1,0 +1,151 @@
+// Training on a GPU by the same laws as on the CPU, in the emulation of tests/emulation where there is none.
+
+#include <ATen/ATen.h>
+#include <c10/core/GradMode.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <limits>
+
+#include "model/cuda/gpu_trainer_program.h"
+#include "tests/ball_scene.h"
+#include "tests/emulation/device_emulation.h"
+
+namespace nrff {
+namespace {
+
+using ::testing::HasSubstr;
+
+std::unique_ptr<GpuTrainer> MakeEmulated(const GpuModel& model, const GpuScene& scene, int occupancy_resolution,
+                                         const GpuTrainerOptions& options) {
+  if (options.precision == GpuPrecision::kFloat) {
+    return std::make_unique<device::GpuTrainerProgram<device::FloatStorage>>(model, scene, occupancy_resolution,
+                                                                             options);
+  }
+  return std::make_unique<device::GpuTrainerProgram<device::HalfStorage>>(model, scene, occupancy_resolution, options);
+}
+
+class GpuTraining : public TrainTest {
+ protected:
+  void SetUp() override { device::SetEmulatedMemory(size_t{1} << 34); }
+  const TrainOptions options_{.seed = 3, .gpu = MakeEmulated};
+};
+
+// With bf16 networks and tables of halfs. The step changes and the box shrinks on the way.
+TEST_F(GpuTraining, LearnsWhatTheCpuLearns) {
+  Preset preset = BallPreset(300);
+  preset.train.depth_weight = 0.05;
+  preset.train.average_from = 0.6;
+  preset.train.average_interval = 5;
+  const std::vector<SparseDepth> depths = BallDepths(scene_);
+  const auto train = [&](const TrainOptions& options) {
+    Trainer trainer(scene_, pack_, depths, preset, options);
+    while (!trainer.Done()) trainer.Step();
+    trainer.Sync();
+    trainer.CheckState();
+    EXPECT_EQ(trainer.state().n_skipped, 0);
+    EXPECT_EQ(trainer.state().shrink_moments_done, 1);
+    EXPECT_GT(trainer.state().adam_t, 100);
+    EXPECT_GT(trainer.state().samples, 100000);
+    trainer.state().SwapAverage();
+    return HeldOutPsnr(trainer);
+  };
+  const double on_cpu = train({.seed = 3}), on_gpu = train(options_);
+  EXPECT_GT(on_cpu, 20);
+  EXPECT_NEAR(on_gpu, on_cpu, 0.5);
+}
+
+TEST_F(GpuTraining, GoesOnFromItsCheckpoint) {
+  const Preset preset = BallPreset(60);
+  const TemporaryDirectory out;
+  {
+    Trainer first(scene_, pack_, {}, preset, options_);
+    while (first.state().step < 30) first.Step();
+    first.Sync();
+    SaveCheckpoint(out.path(), first.state(), "settings");
+  }
+  Trainer second(scene_, pack_, {}, preset, options_), on_cpu(scene_, pack_, {}, preset, {.seed = 3});
+  for (Trainer* trainer : {&second, &on_cpu}) {
+    LoadCheckpoint(out.path(), "settings", trainer->state());
+    trainer->StateChanged();
+    trainer->Step();
+    trainer->Sync();
+  }
+  // One step from the same place leads to the same place, but for rounding to bf16.
+  for (size_t i = 0; i < second.state().adam_m.size(); ++i) {
+    const torch::Tensor difference = second.state().adam_m[i] - on_cpu.state().adam_m[i];
+    EXPECT_LT(difference.norm().item<double>(), 0.02 * on_cpu.state().adam_m[i].norm().item<double>());
+  }
+  EXPECT_EQ(second.state().adam_t, on_cpu.state().adam_t);
+  EXPECT_EQ(second.state().step, 31);
+}
+
+TEST_F(GpuTraining, StepsThatAreNotFiniteChangeNothingAndAreNamed) {
+  Trainer trainer(scene_, pack_, {}, BallPreset(60), options_);
+  for (int i = 0; i < 3; ++i) trainer.Step();
+  trainer.Sync();
+  const c10::NoGradGuard no_grad;
+  torch::Tensor bias = trainer.state().field.parameters().back().value;
+  const torch::Tensor before = trainer.state().field.parameters().front().value.clone(), was = bias.clone();
+  bias.fill_(std::numeric_limits<float>::quiet_NaN());
+  trainer.StateChanged();
+  std::string met;
+  try {
+    for (int i = 0; i < 40; ++i) trainer.Step();
+  } catch (const TrainingDiverged& diverged) {
+    met = diverged.what();
+  }
+  EXPECT_THAT(met, HasSubstr("a loss that is not a number (colour)"));
+  EXPECT_EQ(trainer.state().n_skipped, Trainer::kMostSkipped);
+  trainer.Evidence();
+  EXPECT_TRUE(at::equal(trainer.state().field.parameters().front().value, before));
+  bias.copy_(was);
+  trainer.StateChanged();
+  trainer.Step();
+  trainer.Sync();
+  trainer.CheckState();
+  EXPECT_FALSE(at::equal(trainer.state().field.parameters().front().value, before));
+}
+
+TEST_F(GpuTraining, CheckLooksAtEveryStep) {
+  TrainOptions options = options_;
+  options.check = true;
+  Trainer trainer(scene_, pack_, {}, BallPreset(60), options);
+  trainer.Step();
+  const c10::NoGradGuard no_grad;
+  trainer.state().adam_v[1].fill_(std::numeric_limits<float>::infinity());
+  trainer.StateChanged();
+  EXPECT_THROW(
+      {
+        try {
+          trainer.Step();
+        } catch (const TrainingDiverged& diverged) {
+          EXPECT_THAT(diverged.what(), HasSubstr("second moment in level 0 (16 nodes) of appearance_grid"));
+          throw;
+        }
+      },
+      TrainingDiverged);
+}
+
+// The GPU has room for a fraction of what the preset asks for: rays are halved until a step fits, and it learns.
+TEST_F(GpuTraining, MakesDoWithLittleMemory) {
+  Preset preset = BallPreset(200);
+  preset.train.rays = preset.train.max_rays = 512;
+  preset.train.target_shaded = 0;
+  size_t needed = 0;
+  {
+    Trainer trainer(scene_, pack_, {}, preset, options_);
+    trainer.Step();
+    needed = device::MostEmulatedMemoryUsed();
+  }
+  device::SetEmulatedMemory(needed / 2);
+  Trainer trainer(scene_, pack_, {}, preset, options_);
+  const double before = HeldOutPsnr(trainer);
+  while (!trainer.Done()) trainer.Step();
+  trainer.Sync();
+  EXPECT_GT(HeldOutPsnr(trainer), before + 6);
+  EXPECT_LE(device::MostEmulatedMemoryUsed(), needed / 2);
+}
+
+}  // namespace
+}  // namespace nrff

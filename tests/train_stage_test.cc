@@ -1,0 +1,177 @@
+// Laws of the training stage as a whole: what it decides, writes and refuses, and how it comes through faults.
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <fstream>
+
+#include "model/training.h"
+#include "pipeline/error.h"
+#include "tests/ball_scene.h"
+
+namespace nrff {
+namespace {
+
+using ::testing::HasSubstr;
+
+// The stage as nrff-train runs it.
+class TrainStage : public TrainTest {
+ protected:
+  TrainStage() {
+    ArtifactWriter scene_artifact("pose", directory_.path() / "pose", {}, {});
+    WriteBallScene(scene_artifact.dir());
+    SaveSparseDepths(BallDepths(scene_), scene_artifact.dir());
+    for (const char* output : {kSceneFile, kPackFile, kDepthFile}) scene_artifact.AddOutput(output);
+    scene_artifact.Commit();
+    request.scene_dir = directory_.path() / "pose";
+    request.out = directory_.path() / "train";
+    request.preset = "tiny";
+    request.steps = 12;
+    request.n_threads = 1;
+  }
+
+  TrainingRequest request;
+};
+
+TEST_F(TrainStage, SettingsAndForcedDecisionsAreInTheModelAndTheManifest) {
+  request.settings = "field.levels=3 train.depth_rays=16";
+  request.fine_levels = false;
+  request.sparse_depth = true;
+  RunTraining(request, {});
+  const Manifest manifest = RequireArtifact(request.out, "train");
+  const Json& settings = manifest.facts.at("settings");
+  EXPECT_EQ(settings.at("train").at("depth_rays"), 16);
+  EXPECT_GT(settings.at("train").at("depth_weight"), 0);
+  EXPECT_EQ(settings.at("field").at("max_resolution"), 32) << "an octave below tiny's 64";
+  EXPECT_EQ(settings.at("field").at("levels"), 2);
+  for (const Decision& decision : manifest.decisions) {
+    if (decision.feature == "cuda") continue;
+    EXPECT_EQ(decision.reason, "forced by an option") << decision.feature;
+  }
+}
+
+// On this scene 1e4 is just too much and a quarter of it is not.
+TEST_F(TrainStage, GoesBackWithSmallerRatesWhenTheyExplode) {
+  request.steps = 60;
+  request.settings = "train.network_rate=1e4 train.grid_rate=1e4";
+  RunTraining(request, {});
+  const Json facts = RequireArtifact(request.out, "train").facts;
+  EXPECT_GT(facts.at("rollbacks"), 0);
+  EXPECT_EQ(facts.at("steps"), 60);
+}
+
+TEST_F(TrainStage, SaysWhatItMetWhenGoingBackDoesNotHelp) {
+  request.settings = "train.network_rate=1e20 train.grid_rate=1e20";
+  request.steps = 60;
+  try {
+    RunTraining(request, {});
+    FAIL() << "ended";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ExitCode::kInput);
+    EXPECT_THAT(error.what(), HasSubstr("after 3 returns to the last checkpoint"));
+    EXPECT_THAT(error.what(), HasSubstr("diverged.json"));
+  }
+  const Json evidence = ReadJson(request.out.string() + ".partial/diverged.json");
+  EXPECT_EQ(evidence.at("rollbacks"), 3);
+  EXPECT_EQ(evidence.at("rate_scale"), 0.125);
+  EXPECT_GT(evidence.at("parameters").at(0).at("largest"), 1e10);
+  EXPECT_FALSE(std::filesystem::exists(request.out));
+}
+
+TEST_F(TrainStage, CheckEndsAtTheFirstNumberThatIsNotFinite) {
+  request.settings = "train.network_rate=1e20 train.grid_rate=1e20";
+  request.check = true;
+  try {
+    RunTraining(request, {});
+    FAIL() << "ended";
+  } catch (const Error& error) {
+    EXPECT_THAT(error.what(), HasSubstr("colours that are no numbers in held-out views by step 1; "));
+  }
+  EXPECT_EQ(ReadJson(request.out.string() + ".partial/diverged.json").at("rollbacks"), 0);
+}
+
+// Fewer steps than are left out before training goes back: what the held-out views show tells.
+TEST_F(TrainStage, AShortTrainingThatExplodesIsNoModelEither) {
+  request.settings = "train.network_rate=1e20 train.grid_rate=1e20";
+  request.steps = 8;
+  EXPECT_THROW(RunTraining(request, {}), Error);
+  EXPECT_TRUE(std::filesystem::exists(request.out.string() + ".partial/diverged.json"));
+}
+
+TEST_F(TrainStage, TheDirectionalEncodingIsGivenOnce) {
+  request.settings = "field.directional_encoding=\"pe\"";
+  request.directional = "none";
+  EXPECT_THROW(RunTraining(request, {}), Error);
+}
+
+TEST_F(TrainStage, SaturatedDensityIsNoFailure) {
+  request.settings = "field.density_shift=1e4";
+  RunTraining(request, {});
+  const Json facts = RequireArtifact(request.out, "train").facts;
+  EXPECT_EQ(facts.at("rollbacks"), 0);
+  EXPECT_EQ(facts.at("steps_skipped"), 0);
+}
+
+TEST_F(TrainStage, ABudgetTooShortForSmallTakesTiny) {
+#ifdef __SANITIZE_ADDRESS__
+  constexpr int kBudget = 10;  // one step takes half a second there
+#else
+  constexpr int kBudget = 1;
+#endif
+  request.preset = kAutoPreset;
+  request.steps = 0;
+  request.budget_seconds = kBudget;
+  RunTraining(request, {});
+  const Manifest manifest = RequireArtifact(request.out, "train");
+  EXPECT_EQ(manifest.facts.at("preset"), "tiny");
+  EXPECT_NEAR(manifest.facts.at("seconds_training").get<double>() / kBudget, 1, 0.2);
+  const Decision& decision = manifest.decisions.back();
+  EXPECT_EQ(decision.feature, "small_model");
+  EXPECT_FALSE(decision.needed);
+  EXPECT_THAT(decision.evidence, HasSubstr("steps of the preset small fit in " + std::to_string(kBudget) + " s"));
+  EXPECT_TRUE(needs::SmallModel(100, 10, /*unbounded=*/false).needed);
+  EXPECT_FALSE(needs::SmallModel(100, 10, /*unbounded=*/true).needed);
+}
+
+// Measured again, this budget would give tiny.
+TEST_F(TrainStage, GoesOnWithThePresetThatWasChosenBeforeItWasStopped) {
+  request.preset = kAutoPreset;
+  request.steps = 0;
+  request.budget_seconds = 1;
+  const Decision chosen{"small_model", true, "100 steps", "10 steps", "chosen before"};
+  {
+    const ArtifactWriter interrupted("train", request.out, {},
+                                     {ArtifactInput(request.scene_dir, RequireArtifact(request.scene_dir, "pose"))},
+                                     ArtifactWriter::kKeepPartial);
+    interrupted.SaveSeconds();
+    WriteFileAtomically(interrupted.dir() / "preset.json", Json(chosen).dump());
+  }
+  RunTraining(request, {});
+  const Manifest manifest = RequireArtifact(request.out, "train");
+  EXPECT_EQ(manifest.facts.at("preset"), "small");
+  EXPECT_EQ(manifest.decisions.back().reason, chosen.reason);
+}
+
+TEST_F(TrainStage, StartsAnewAfterADamagedCheckpoint) {
+  RunTraining(request, {{"steps", "12"}});
+  const Manifest manifest = RequireArtifact(request.out, "train");
+  EXPECT_EQ(manifest.facts.at("steps"), 12);
+  EXPECT_FALSE(manifest.facts.at("curve").empty());
+  EXPECT_EQ(manifest.facts.at("settings").at("train").at("steps"), 12);
+  const std::string model = ReadFile(request.out / kModelFile);
+
+  {
+    const ArtifactWriter interrupted("train", request.out, {{"steps", "12"}},
+                                     {ArtifactInput(request.scene_dir, RequireArtifact(request.scene_dir, "pose"))},
+                                     ArtifactWriter::kKeepPartial);
+    interrupted.SaveSeconds();
+    std::ofstream(interrupted.dir() / kCheckpointFile) << "not a checkpoint";
+  }
+  RunTraining(request, {{"steps", "12"}});
+  EXPECT_EQ(RequireArtifact(request.out, "train").facts.at("resumed"), 0);
+  EXPECT_EQ(ReadFile(request.out / kModelFile), model);
+}
+
+}  // namespace
+}  // namespace nrff
