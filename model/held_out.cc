@@ -33,12 +33,11 @@ HeldOutViews::HeldOutViews(const Scene& scene, const ImagePack& pack, double bac
   }
 }
 
-double HeldOutViews::Psnr(const RadianceField& field, const OccupancyGrid& occupancy, const SceneMap& map,
-                          const RenderOptions& options) const {
+double HeldOutViews::Psnr(const std::function<Tensor(const Rays& rays)>& render) const {
   const c10::NoGradGuard no_grad;
   double sum = 0;
   for (const PixelSource::Batch& batch : batches_) {
-    const Tensor rgb = RenderRays(field, occupancy, map, batch.rays, options).rgb.clamp(0, 1);
+    const Tensor rgb = render(batch.rays).clamp(0, 1);
     sum += -10 * std::log10(at::mse_loss(rgb, batch.target).item<double>());
   }
   return sum / double(batches_.size());

@@ -3,13 +3,13 @@
 
 #include <torch/types.h>
 
+#include <functional>
 #include <string>
 #include <vector>
 
 #include "model/ray_batch.h"
 #include "pipeline/scene.h"
-#include "render/occupancy_grid.h"
-#include "render/radiance_field.h"
+#include "render/volume_renderer.h"
 
 namespace nrff {
 
@@ -24,8 +24,8 @@ class HeldOutViews {
   HeldOutViews(const Scene& scene, const ImagePack& pack, double background);
 
   bool empty() const { return batches_.empty(); }
-  double Psnr(const RadianceField& field, const OccupancyGrid& occupancy, const SceneMap& map,
-              const RenderOptions& options) const;
+  // render: rays → their colours [n, 3].
+  double Psnr(const std::function<torch::Tensor(const Rays& rays)>& render) const;
   // For facts.curve_protocol.
   std::string Protocol() const;
 

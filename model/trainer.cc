@@ -101,6 +101,17 @@ RenderOptions Trainer::EvaluationOptions() const {
   return options;
 }
 
+Tensor Trainer::RenderMean(const Rays& rays) {
+  const c10::NoGradGuard no_grad;
+  const RenderOptions options = EvaluationOptions();
+  state_.SwapAverage();
+  const Tensor rgb = gpu_ ? gpu_->Render(state_, rays, options)
+                          : RenderRays(state_.field, state_.occupancy, state_.map, rays, options).rgb;
+  state_.SwapAverage();
+  if (gpu_) gpu_->Upload(state_);
+  return rgb;
+}
+
 double Trainer::TrainPsnr() const { return -10 * std::log10(state_.train_mse < 0 ? NAN : state_.train_mse); }
 
 void Trainer::UpdateOccupancy(bool all_cells) {

@@ -58,6 +58,9 @@ class Trainer {
   // How images of the present model are rendered.
   RenderOptions EvaluationOptions() const;
 
+  // Colours [n, 3] of rays by the mean of the parameters, or by the parameters where there is none. After Sync.
+  torch::Tensor RenderMean(const Rays& rays);
+
   // Throws TrainingDiverged when a parameter or a moment of Adam's is not finite. After Sync.
   void CheckState() const;
 

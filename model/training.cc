@@ -9,6 +9,7 @@
 
 #include "model/checkpoint.h"
 #include "model/config.h"
+#include "model/cuda/gpu_library.h"
 #include "model/held_out.h"
 #include "model/schedule.h"
 #include "model/trainer.h"
@@ -130,9 +131,7 @@ void Evaluate(const HeldOutViews& held_out, Trainer& trainer) {
   TrainState& state = trainer.state();
   const auto start = Clock::now();
   trainer.Sync();
-  state.SwapAverage();
-  const double psnr = held_out.Psnr(state.field, state.occupancy, state.map, trainer.EvaluationOptions());
-  state.SwapAverage();
+  const double psnr = held_out.Psnr([&](const Rays& rays) { return trainer.RenderMean(rays); });
   if (std::isnan(psnr) || std::isnan(trainer.TrainPsnr())) {
     throw TrainingDiverged(std::string("the model shows colours that are no numbers in ") +
                            (std::isnan(psnr) ? "held-out views" : "every training batch") + " by step " +
@@ -231,7 +230,7 @@ Json Curve(const TrainState& state) {
 }  // namespace
 
 Json DescribeTraining(const TrainingRequest& request) {
-  const Decision device = ChooseDevice(request.device);
+  const Decision device = ChooseDevice(request.device).decision;
   Json settings = Json::object(), steps;
   std::optional<Error> refused;
   for (const bool unbounded : {false, true}) {
@@ -256,13 +255,14 @@ Json DescribeTraining(const TrainingRequest& request) {
 }
 
 void RunTraining(const TrainingRequest& request, const Params& params) {
-  const Decision device = ChooseDevice(request.device);
+  const Device device = ChooseDevice(request.device);
   const int n_threads = SetThreads(request.n_threads);
   const Manifest scene_manifest = RequireArtifact(request.scene_dir, "pose");
   const Scene scene = LoadScene(request.scene_dir);
   const ImagePack pack(request.scene_dir);
   const std::vector<SparseDepth> depths = LoadSparseDepths(scene, request.scene_dir);
-  const TrainOptions options{.budget_seconds = request.budget_seconds, .seed = request.seed, .check = request.check};
+  const TrainOptions options{
+      .budget_seconds = request.budget_seconds, .seed = request.seed, .check = request.check, .gpu = device.gpu};
 
   ArtifactWriter artifact("train", request.out, params, {ArtifactInput(request.scene_dir, scene_manifest)},
                           ArtifactWriter::kKeepPartial);
@@ -273,7 +273,7 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
   Json settings;
   std::vector<Decision> decisions;
   const auto start_anew = [&] {
-    decisions = {device};
+    decisions = {device.decision};
     preset = ChoosePreset(request, name, scene, depths.size(), decisions);
     settings = Settings(request, name, preset);
     trainer.emplace(scene, pack, depths, preset, options);
@@ -314,7 +314,7 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
                       {"steps_per_second", double(state.step) / state.seconds},
                       {"steps_skipped", state.n_skipped},
                       {"rollbacks", state.rollbacks},
-                      {"device", "cpu"},
+                      {"device", device.gpu ? "cuda" : "cpu"},
                       {"threads", n_threads},
                       {"n_parameters", state.field.n_parameters()},
                       {"occupied_fraction", state.occupancy.OccupiedFraction()},

@@ -128,12 +128,8 @@ Decision Lpips(const std::string& network_path) {
                   "can be fetched, and give it with --lpips"};
 }
 
-Decision Cuda(bool has_cuda_path, int n_gpus) {
-  const bool needed = has_cuda_path && n_gpus > 0;
-  return {"cuda", needed,
-          std::to_string(n_gpus) + " usable GPUs, " +
-              (has_cuda_path ? "training and rendering on CUDA" : "no training or rendering on CUDA in this version"),
-          "a GPU and a CUDA path", needed ? "the GPU is faster" : "the CPU kernels do the work"};
+Decision Cuda(bool usable, const std::string& what) {
+  return {"cuda", usable, what, "a GPU that can be used", usable ? "the GPU is faster" : "the CPU does the work"};
 }
 
 }  // namespace needs

@@ -69,8 +69,9 @@ Decision SmallModel(double steps_per_second, double budget_seconds, bool unbound
 inline constexpr char kNoLpips[] = "none";
 Decision Lpips(const std::string& network_path);
 
-// CUDA is left out when there is no usable GPU, or this version cannot train and render on one.
-Decision Cuda(bool has_cuda_path, int n_gpus);
+// CUDA is left out when there is no GPU that can be used, or the CPU was asked for. `what`: the GPU, or why there is
+// none.
+Decision Cuda(bool usable, const std::string& what);
 
 }  // namespace needs
 }  // namespace nrff

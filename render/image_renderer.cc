@@ -98,24 +98,19 @@ class TileRenderer {
   RayQuadrature quadrature_;
 };
 
-// Σ w t is the expected distance times the opacity; where less than half the light is stopped, there is no surface.
-void NormaliseDepth(RenderedImage& image) {
-  for (size_t i = 0; i < image.depth.size(); ++i) {
-    image.depth[i] = image.opacity[i] < 0.5F ? 0.F : image.depth[i] / image.opacity[i];
-  }
-}
+}  // namespace
 
-// Σ w n is shorter than the opacity where normals within a ray disagree; its direction is what is wanted.
-void NormaliseNormals(RenderedImage& image) {
+void NormaliseGeometry(RenderedImage& image) {
   for (size_t i = 0; i < image.opacity.size(); ++i) {
+    // Where less than half the light is stopped, there is no surface.
+    image.depth[i] = image.opacity[i] < 0.5F ? 0.F : image.depth[i] / image.opacity[i];
+    // Σ w n is shorter than the opacity where normals within a ray disagree; its direction is what is wanted.
     float* n = &image.normal[3 * i];
     const float norm = std::sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
     const float scale = norm > 0 ? image.opacity[i] / norm : 0.F;
     for (int k = 0; k < 3; ++k) n[k] *= scale;
   }
 }
-
-}  // namespace
 
 RenderOptions PictureOptions(RenderOptions trained, int bits) {
   constexpr double kSixteenBitStep = 1.0 / 65535;
@@ -157,8 +152,7 @@ RenderedImage RenderImage(const RadianceField& field, const OccupancyGrid& occup
     }
   }
   if (progress) progress(n_rays);
-  NormaliseDepth(image);
-  NormaliseNormals(image);
+  NormaliseGeometry(image);
   return image;
 }
 

@@ -29,6 +29,9 @@ inline constexpr double kEightBitTolerance = 0.5 / 255;
 // 4e-5 root mean square, 0.003 at the most: measured, not bounded.
 RenderOptions PictureOptions(RenderOptions trained, int bits);
 
+// depth: Σ w t → the expected distance; normal: Σ w n → its direction, as long as the opacity.
+void NormaliseGeometry(RenderedImage& image);
+
 // Called after every tile with the number of rays done so far.
 using TileProgress = std::function<void(int64_t n_rays_done)>;
 

@@ -3,10 +3,13 @@
 
 #include <ATen/ATen.h>
 
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "model/checkpoint.h"
+#include "model/cuda/gpu_library.h"
+#include "model/cuda/gpu_renderer.h"
 #include "model/ray_batch.h"
 #include "pipeline/error.h"
 #include "pipeline/files.h"
@@ -52,7 +55,7 @@ std::vector<View> PathViews(const Scene& scene, const Options& options) {
 }
 
 void Render(const Options& options, const Params& params) {
-  const Decision device = ChooseDevice(options.device);
+  const Device device = ChooseDevice(options.device);
   const int n_threads = SetThreads(options.n_threads);
   const Manifest scene_manifest = RequireArtifact(options.scene_dir, "pose");
   const Manifest model_manifest = RequireArtifact(options.model_dir, "train");
@@ -67,15 +70,20 @@ void Render(const Options& options, const Params& params) {
 
   ArtifactWriter artifact("render", options.out, params, inputs, ArtifactWriter::kKeepPartial);
   artifact.SaveSeconds();
-  const RenderFacts facts = RenderViews({*model->field, model->occupancy, model->map, model->options, options.bits},
-                                        views, options.path.empty() ? "" : "path", artifact.dir());
+  RenderSource source{*model->field, model->occupancy, model->map, model->options, options.bits};
+  std::optional<GpuRenderer> gpu;
+  if (device.gpu) {
+    gpu.emplace(device.gpu, *model->field, model->occupancy);
+    source.render = [&](const View& view, const RenderOptions& with) { return gpu->Render(view, model->map, with); };
+  }
+  const RenderFacts facts = RenderViews(source, views, options.path.empty() ? "" : "path", artifact.dir());
   if (facts.n_kept > 0) LogInfo("kept " + std::to_string(facts.n_kept) + " views of an interrupted attempt");
   artifact.facts() = {{"n_views", facts.n_views},
                       {"seconds_per_view", facts.seconds_per_view},
                       {"samples_per_ray", facts.samples_per_ray},
                       {"threads", n_threads},
-                      {"device", "cpu"}};
-  artifact.AddDecision(device);
+                      {"device", device.gpu ? "cuda" : "cpu"}};
+  artifact.AddDecision(device.decision);
   artifact.AddOutput(kRendersFile);
   for (const char* layer : kRenderLayers) artifact.AddOutput(layer);
   artifact.Commit();

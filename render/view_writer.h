@@ -3,6 +3,7 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -30,6 +31,8 @@ struct RenderSource {
   SceneMap map;
   RenderOptions options;
   int bits = 8;  // of the colours: 8, or 16 without the tolerance of colours that 8 hide
+  // RenderImage of this source by other means than the CPU's; null: RenderImage.
+  std::function<RenderedImage(const View& view, const RenderOptions& options)> render = {};
 };
 
 // Renders the views into `dir`. A view that an interrupted attempt finished there (dir/done/ID.json, written after its

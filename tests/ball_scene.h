@@ -30,9 +30,12 @@ class TrainTest : public ::testing::Test {
  protected:
   TrainTest() : scene_(WriteBallScene(directory_.path())), pack_(directory_.path()) { SetThreads(1); }
 
+  // On the CPU, by the parameters that the state has.
   double HeldOutPsnr(const Trainer& trainer) const {
     const TrainState& state = trainer.state();
-    return HeldOutViews(scene_, pack_, 1).Psnr(state.field, state.occupancy, state.map, trainer.EvaluationOptions());
+    return HeldOutViews(scene_, pack_, 1).Psnr([&](const Rays& rays) {
+      return RenderRays(state.field, state.occupancy, state.map, rays, trainer.EvaluationOptions()).rgb;
+    });
   }
   // The bytes that SaveModel writes for the state.
   std::string ModelBytes(const Trainer& trainer) const {

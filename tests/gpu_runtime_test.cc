@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 #include <omp.h>
 
+#include <cmath>
+#include <limits>
 #include <numeric>
 
 #include "model/cuda/gpu_room.h"
@@ -123,6 +125,17 @@ TEST_F(Runtime, SumsAndProductsAreRight) {
       }
     }
   }
+}
+
+TEST_F(Runtime, AProfileHasEveryKindOfWork) {
+  const Buffer<float> values(1000);
+  Zero(values.data(), 4000, stream_.get());
+  StartProfile();
+  for (int i = 0; i < 3; ++i) ForEach("add", 1000, stream_.get(), AddOne{values.data()});
+  const auto works = EndProfile();
+  ASSERT_EQ(works.size(), 1);
+  EXPECT_EQ(works.at("add").n, 3);
+  EXPECT_GT(works.at("add").milliseconds, 0);
 }
 
 TEST(DeviceNumbers, RoundToTheNearestAndTiesToEven) {

@@ -3,21 +3,16 @@
 
 #include <ATen/ATen.h>
 #include <gtest/gtest.h>
-#include <omp.h>
 
 #include <cmath>
 #include <fstream>
 #include <ostream>
 
 #include "model/cuda/gpu_model.h"
-#include "model/cuda/gpu_room.h"
-#include "model/cuda/gpu_trainer_program.h"
 #include "model/depth_batch.h"
-#include "model/kernels/adam.h"
-#include "model/train_state.h"
 #include "model/training_step.h"
 #include "render/kernels/random.h"
-#include "tests/emulation/device_emulation.h"
+#include "tests/gpu_under_test.h"
 #include "tests/temporary_directory.h"
 
 namespace nrff {
@@ -109,17 +104,7 @@ struct Sides {
         model(MakeGpuModel(field)),
         map(SceneMap::FromBox({-1, -1.1, -0.9}, {1, 0.9, 1}, c.unbounded)),
         occupancy(kOccupancyResolution) {
-    gpu_scene.pixels_before.push_back(0);
-    for (const View& view : scene.views) {
-      device::GpuView gpu{{view.fx, view.fy, view.cx, view.cy, {}}, view.width, view.channels, view.pack_offset};
-      std::copy_n(view.scene_from_camera.begin(), 12, gpu.camera.scene_from_camera);
-      gpu_scene.views.push_back(gpu);
-      gpu_scene.pixels_before.push_back(gpu_scene.pixels_before.back() + uint64_t(view.width) * view.height);
-    }
-    gpu_scene.pack = pack.Pixels(scene.views.front());
-    gpu_scene.pack_bytes =
-        scene.views.back().pack_offset + uint64_t(scene.views.back().width) * scene.views.back().height * 4;
-    gpu_scene.depths = depths.targets();
+    gpu_scene = MakeGpuScene(pixels, depths);
     options.step = 0.05;
     options.near = scene.near;
     options.far = scene.far;
@@ -146,16 +131,11 @@ struct Sides {
     control.network_rate = 1e-3;
   }
 
-  template <typename Storage>
-  std::unique_ptr<device::GpuTrainerProgram<Storage>> MakeTrainer(const GpuTrainerOptions& with) const {
-    auto trainer = std::make_unique<device::GpuTrainerProgram<Storage>>(model, gpu_scene, kOccupancyResolution, with);
-    std::vector<Tensor> values, zeros;
-    for (const NrffField::Parameter& parameter : field.parameters()) {
-      values.push_back(parameter.value);
-      zeros.push_back(at::zeros_like(parameter.value));
-    }
-    const std::vector<float> parameters = Flatten(model, values), moments = Flatten(model, zeros);
-    trainer->SetState(parameters.data(), moments.data(), moments.data(), 0);
+  std::unique_ptr<GpuTrainer> MakeTrainer(const GpuTrainerOptions& with) const {
+    std::unique_ptr<GpuTrainer> trainer = GpuUnderTest()(model, gpu_scene, kOccupancyResolution, with);
+    const std::vector<float> zeros(model.n_parameters);
+    trainer->SetParameters(Flatten(model, ValuesOf(field)).data());
+    trainer->SetMoments(zeros.data(), zeros.data(), 0);
     trainer->SetOccupancy(occupancy.bits());
     return trainer;
   }
@@ -180,7 +160,10 @@ constexpr GpuRoom kRoom{512, 32768, 32768};
 
 class GpuStepTest : public ::testing::TestWithParam<Case> {
  protected:
-  void SetUp() override { device::SetEmulatedMemory(kPlenty); }
+  void SetUp() override {
+    if (!GpuIsThere()) GTEST_SKIP() << "there is no GPU";
+    LimitGpuMemory(kPlenty);
+  }
 };
 
 // What the CPU's step leaves.
@@ -212,7 +195,7 @@ TEST_P(GpuStepTest, FindsWhatTheCpuFindsAndItsGradients) {
   const Case& c = GetParam();
   Sides sides(c);
   const Expected expected = OnCpu(sides, c);
-  const auto trainer = sides.MakeTrainer<device::FloatStorage>({.precision = GpuPrecision::kFloat, .room = kRoom});
+  const auto trainer = sides.MakeTrainer({.precision = GpuPrecision::kFloat, .room = kRoom});
   trainer->Step(sides.control);
   const StepResult found = trainer->Finish().front();
   EXPECT_EQ(found.applied, 1);

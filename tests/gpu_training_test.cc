@@ -5,35 +5,31 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <cmath>
 #include <limits>
 
-#include "model/cuda/gpu_trainer_program.h"
+#include "model/cuda/gpu_renderer.h"
 #include "tests/ball_scene.h"
-#include "tests/emulation/device_emulation.h"
+#include "tests/gpu_under_test.h"
 
 namespace nrff {
 namespace {
 
 using ::testing::HasSubstr;
 
-std::unique_ptr<GpuTrainer> MakeEmulated(const GpuModel& model, const GpuScene& scene, int occupancy_resolution,
-                                         const GpuTrainerOptions& options) {
-  if (options.precision == GpuPrecision::kFloat) {
-    return std::make_unique<device::GpuTrainerProgram<device::FloatStorage>>(model, scene, occupancy_resolution,
-                                                                             options);
-  }
-  return std::make_unique<device::GpuTrainerProgram<device::HalfStorage>>(model, scene, occupancy_resolution, options);
-}
-
 class GpuTraining : public TrainTest {
  protected:
-  void SetUp() override { device::SetEmulatedMemory(size_t{1} << 34); }
-  const TrainOptions options_{.seed = 3, .gpu = MakeEmulated};
+  void SetUp() override {
+    if (!GpuIsThere()) GTEST_SKIP() << "there is no GPU";
+    LimitGpuMemory(size_t{1} << 34);
+  }
+  const TrainOptions options_{.seed = 3, .gpu = GpuUnderTest()};
 };
 
 // With bf16 networks and tables of halfs. The step changes and the box shrinks on the way.
 TEST_F(GpuTraining, LearnsWhatTheCpuLearns) {
-  Preset preset = BallPreset(300);
+  Preset preset = BallPreset(120);
   preset.train.depth_weight = 0.05;
   preset.train.average_from = 0.6;
   preset.train.average_interval = 5;
@@ -127,24 +123,84 @@ TEST_F(GpuTraining, CheckLooksAtEveryStep) {
       TrainingDiverged);
 }
 
+// By the parameters' mean, as on the CPU.
+TEST_F(GpuTraining, ShowsHeldOutViewsByItsMean) {
+  Preset preset = BallPreset(60);
+  preset.train.average_from = 0.2;
+  preset.train.average_interval = 5;
+  Trainer trainer(scene_, pack_, {}, preset, options_);
+  while (!trainer.Done()) trainer.Step();
+  trainer.Sync();
+  const HeldOutViews held_out(scene_, pack_, 1);
+  const double on_gpu = held_out.Psnr([&](const Rays& rays) { return trainer.RenderMean(rays); });
+  trainer.state().SwapAverage();
+  EXPECT_NEAR(on_gpu, HeldOutPsnr(trainer), 0.1);
+}
+
+// Pictures by the GPU's kernels are the CPU's, whether all rays fit at once or not; what the tolerance leaves out stays
+// within it.
+TEST_F(GpuTraining, RendersWhatTheCpuRenders) {
+  Trainer trainer(scene_, pack_, {}, BallPreset(100), {.seed = 3});
+  while (!trainer.Done()) trainer.Step();
+  const TrainState& state = trainer.state();
+  for (const int64_t room : {4096, 200}) {
+    const GpuTrainerFactory factory = [&](const GpuModel& model, const GpuScene& scene, int resolution,
+                                          GpuTrainerOptions options) {
+      options.precision = GpuPrecision::kFloat;
+      options.room = {room, 4096, 4096};
+      return GpuUnderTest()(model, scene, resolution, options);
+    };
+    const GpuRenderer renderer(factory, state.field, state.occupancy);
+    RenderOptions options = PictureOptions(trainer.EvaluationOptions(), 16);
+    const RenderedImage expected = RenderImage(state.field, state.occupancy, state.map, scene_.views[6], options);
+    const RenderedImage found = renderer.Render(scene_.views[6], state.map, options);
+    EXPECT_EQ(found.n_shaded, expected.n_shaded);
+    const auto furthest = [](const std::vector<float>& a, const std::vector<float>& b) {
+      float most = 0;
+      for (size_t i = 0; i < a.size(); ++i) most = std::max(most, std::abs(a[i] - b[i]));
+      return most;
+    };
+    EXPECT_LT(furthest(found.rgb, expected.rgb), 2e-5);
+    EXPECT_LT(furthest(found.opacity, expected.opacity), 2e-5);
+    EXPECT_LT(furthest(found.depth, expected.depth), 1e-3);
+    EXPECT_LT(furthest(found.normal, expected.normal), 1e-3);
+    options.colour_tolerance = kEightBitTolerance;
+    const RenderedImage tolerant = renderer.Render(scene_.views[6], state.map, options);
+    EXPECT_LT(tolerant.n_shaded, found.n_shaded);
+    EXPECT_LT(furthest(tolerant.rgb, expected.rgb), 2 * kEightBitTolerance);
+  }
+}
+
 // The GPU has room for a fraction of what the preset asks for: rays are halved until a step fits, and it learns.
 TEST_F(GpuTraining, MakesDoWithLittleMemory) {
-  Preset preset = BallPreset(200);
+  Preset preset = BallPreset(120);
   preset.train.rays = preset.train.max_rays = 512;
   preset.train.target_shaded = 0;
-  size_t needed = 0;
   {
     Trainer trainer(scene_, pack_, {}, preset, options_);
     trainer.Step();
-    needed = device::MostEmulatedMemoryUsed();
   }
-  device::SetEmulatedMemory(needed / 2);
+  const size_t needed = MostGpuMemoryUsed();
+  if (!LimitGpuMemory(needed / 2)) GTEST_SKIP() << "a GPU's memory cannot be limited";
   Trainer trainer(scene_, pack_, {}, preset, options_);
   const double before = HeldOutPsnr(trainer);
   while (!trainer.Done()) trainer.Step();
   trainer.Sync();
   EXPECT_GT(HeldOutPsnr(trainer), before + 6);
-  EXPECT_LE(device::MostEmulatedMemoryUsed(), needed / 2);
+  EXPECT_LE(MostGpuMemoryUsed(), needed / 2);
+}
+
+// Not even the model has room: said with what is missing and what to do.
+TEST_F(GpuTraining, SaysWhatIsMissingWhereTheModelHasNoRoom) {
+  if (!LimitGpuMemory(size_t{1} << 16)) GTEST_SKIP() << "a GPU's memory cannot be limited";
+  try {
+    const Trainer trainer(scene_, pack_, {}, BallPreset(60), options_);
+    FAIL() << "found room";
+  } catch (const Error& error) {
+    EXPECT_EQ(error.code(), ExitCode::kResource);
+    EXPECT_THAT(error.what(), HasSubstr("MiB are free; the model does not fit"));
+    EXPECT_THAT(error.what(), HasSubstr("--preset"));
+  }
 }
 
 }  // namespace

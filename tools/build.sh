@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Configures and builds one preset: tools/build.sh [cpu|cuda|asan|tidy|fuzz]. tidy compiles nothing but has clang-tidy read
+# Configures and builds one preset: tools/build.sh [cpu|asan|tidy|fuzz]. tidy compiles nothing but has clang-tidy read
 # our own code.
 set -euo pipefail
 cd "$(dirname "$0")/.."

@@ -45,6 +45,42 @@ GpuModel MakeGpuModel(const NrffField& field) {
   return model;
 }
 
+GpuScene MakeGpuScene(const PixelSource& pixels, const DepthSource& depths) {
+  GpuScene scene;
+  scene.pixels_before.push_back(0);
+  const ImagePack& pack = pixels.pack();
+  scene.pack = pack.data();
+  scene.pack_bytes = pack.size_bytes();
+  for (const View& view : pixels.views()) {
+    device::GpuView gpu{{view.fx, view.fy, view.cx, view.cy, {}}, view.width, view.channels, view.pack_offset};
+    std::copy_n(view.scene_from_camera.begin(), 12, gpu.camera.scene_from_camera);
+    scene.views.push_back(gpu);
+    scene.pixels_before.push_back(scene.pixels_before.back() + uint64_t(view.width) * view.height);
+  }
+  scene.depths = depths.targets();
+  return scene;
+}
+
+std::vector<torch::Tensor> ValuesOf(const NrffField& field) {
+  std::vector<torch::Tensor> values;
+  for (const NrffField::Parameter& parameter : field.parameters()) values.push_back(parameter.value.detach());
+  return values;
+}
+
+device::StepControl MakeControl(const SceneMap& map, const RenderOptions& options) {
+  device::StepControl control;
+  control.jitter = options.jitter.has_value();
+  control.march_step = options.step;
+  control.near = options.near;
+  control.far = options.far;
+  control.map = map;
+  control.stop_transmittance = float(std::max(options.stop_transmittance, 0.5 * options.colour_tolerance));
+  control.weight_threshold = float(options.weight_threshold);
+  control.colour_tolerance = float(options.colour_tolerance);
+  control.background = float(options.background);
+  return control;
+}
+
 std::vector<float> Flatten(const GpuModel& model, const std::vector<torch::Tensor>& tensors) {
   std::vector<float> flat(model.n_parameters);
   for (size_t i = 0; i < tensors.size(); ++i) {

@@ -4,12 +4,24 @@
 #include <vector>
 
 #include "model/cuda/gpu_trainer.h"
+#include "model/depth_batch.h"
 #include "model/nrff_field.h"
+#include "model/ray_batch.h"
+#include "render/volume_renderer.h"
 
 namespace nrff {
 
 // Throws std::invalid_argument for directional encodings that a GPU has not.
 GpuModel MakeGpuModel(const NrffField& field);
+
+// Points into the sources' memory.
+GpuScene MakeGpuScene(const PixelSource& pixels, const DepthSource& depths);
+
+// The field's parameters, in their order, without gradients.
+std::vector<torch::Tensor> ValuesOf(const NrffField& field);
+
+// What of a step's control follows from the scene and the options.
+device::StepControl MakeControl(const SceneMap& map, const RenderOptions& options);
 
 // tensors: as field.parameters(), float. `flat` [model.n_parameters]; zeros between the segments.
 std::vector<float> Flatten(const GpuModel& model, const std::vector<torch::Tensor>& tensors);

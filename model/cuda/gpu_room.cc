@@ -11,12 +11,13 @@ constexpr int kWindow = 512;         // steps
 constexpr int64_t kMultiple = 4096;  // samples; sizes that change rarely let graphs be used again
 constexpr int64_t kFewestRays = 64;
 
-int64_t RoomFor(int64_t n) {
-  const auto wanted = static_cast<int64_t>(kMargin * static_cast<double>(n));
-  return std::max(kMultiple, (wanted + kMultiple - 1) / kMultiple * kMultiple);
-}
+int64_t RoundUp(int64_t n) { return std::max(kMultiple, (n + kMultiple - 1) / kMultiple * kMultiple); }
+int64_t RoomFor(int64_t n) { return RoundUp(static_cast<int64_t>(kMargin * static_cast<double>(n))); }
 
 }  // namespace
+
+GpuRoomPlan::GpuRoomPlan(const GpuRoom& room)
+    : room_{room.rays, RoundUp(room.samples), RoundUp(room.shaded)}, most_rays_(room.rays) {}
 
 bool GpuRoomPlan::Observe(const GpuRoom& had, int64_t n_samples, int64_t n_shaded) {
   const GpuRoom before = room_;
@@ -40,7 +41,7 @@ bool GpuRoomPlan::Observe(const GpuRoom& had, int64_t n_samples, int64_t n_shade
 bool GpuRoomPlan::Halve() {
   if (most_rays_ <= kFewestRays) return false;
   most_rays_ = std::max(kFewestRays, most_rays_ / 2);
-  room_ = {most_rays_, std::max(kMultiple, room_.samples / 2), std::max(kMultiple, room_.shaded / 2)};
+  room_ = {most_rays_, RoundUp(room_.samples / 2), RoundUp(room_.shaded / 2)};
   return true;
 }
 

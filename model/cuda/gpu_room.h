@@ -10,7 +10,8 @@ namespace nrff {
 
 class GpuRoomPlan {
  public:
-  explicit GpuRoomPlan(const GpuRoom& room) : room_(room), most_rays_(room.rays) {}
+  // Begins with at least this.
+  explicit GpuRoomPlan(const GpuRoom& room);
 
   const GpuRoom& room() const { return room_; }
   int64_t most_rays() const { return most_rays_; }

@@ -6,6 +6,7 @@
 
 #include <array>
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -61,6 +62,21 @@ struct GpuRoom {
   bool operator==(const GpuRoom&) const = default;
 };
 
+// Rays of pictures: through the pixels of a view `width` wide, row by row from `first`; or, where origins is not null,
+// those given in the host's memory.
+struct GpuRays {
+  int64_t n = 0;
+  PinholeCamera camera;
+  int width = 0;
+  int64_t first = 0;
+  const float *origins = nullptr, *directions = nullptr;  // [n, 3]
+};
+
+// What rays show; in the host's memory. render/image_renderer.h, before depths and normals are normalised.
+struct GpuPicture {
+  float *rgb = nullptr, *depth = nullptr, *normal = nullptr, *opacity = nullptr;  // [n, 3], [n], [n, 3], [n]
+};
+
 enum class GpuPrecision { kFloat, kHalf };  // kHalf: bf16 networks, tables of halfs; parameters stay float
 
 class GpuTrainer {
@@ -68,7 +84,8 @@ class GpuTrainer {
   virtual ~GpuTrainer() = default;
 
   // parameters, m, v [model.n_parameters].
-  virtual void SetState(const float* parameters, const float* m, const float* v, int64_t adam_t) = 0;
+  virtual void SetParameters(const float* parameters) = 0;
+  virtual void SetMoments(const float* m, const float* v, int64_t adam_t) = 0;
   // Waits for the steps queued so far.
   virtual void GetState(float* parameters, float* m, float* v) = 0;
   // The mean of the parameters: one more value into it, the n-th; and the mean itself [n_parameters], which waits.
@@ -83,11 +100,18 @@ class GpuTrainer {
   // room() of then, and more room is made for the following.
   static constexpr int kLag = 4;
   virtual std::optional<device::StepResult> Step(const device::StepControl& control) = 0;
+  // Milliseconds of each kind of work of a step, the mean of n steps that are queued one piece of work at a time.
+  virtual std::map<std::string, double> Profile(const device::StepControl& control, int n) = 0;
   // Waits; what the steps since found.
   virtual std::vector<device::StepResult> Finish() = 0;
 
   // σ of points [n, 3]; both in the host's memory. Waits.
   virtual void Densities(const float* points, int64_t n, float* sigma) = 0;
+
+  // The control's rays are n_rays of `rays`, without jitter. Waits; returns {evaluations of density, of shading}.
+  // Throws device::DeviceError when a single ray has more samples than there is room for.
+  virtual std::array<int64_t, 2> Render(const GpuRays& rays, const device::StepControl& control,
+                                        const GpuPicture& picture) = 0;
 
   virtual GpuRoom room() const = 0;
   virtual int64_t most_rays() const = 0;  // that a step of this model has memory for, as far as is known
@@ -98,6 +122,8 @@ struct GpuTrainerOptions {
   GpuPrecision precision = GpuPrecision::kHalf;
   GpuRoom room;           // to begin with
   bool use_graph = true;  // a step is queued as one graph
+  bool trains =
+      true;  // or makes pictures alone, in less memory: with SetParameters, SetOccupancy, Densities and Render
 };
 
 }  // namespace nrff

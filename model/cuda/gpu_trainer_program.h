@@ -2,9 +2,12 @@
 #pragma once
 
 #include <algorithm>
-#include <cstring>
-#include <deque>
+#include <array>
+#include <cmath>
+#include <map>
 #include <memory>
+#include <string>
+#include <utility>
 #include <vector>
 
 #include "model/cuda/gpu_room.h"
@@ -17,9 +20,9 @@ class GpuTrainerProgram : public GpuTrainer {
  public:
   GpuTrainerProgram(const GpuModel& model, const GpuScene& scene, int occupancy_resolution,
                     const GpuTrainerOptions& options)
-      : model_(model),
+      : model_(RequireRoom(model, scene, options)),
         options_(options),
-        program_(model, scene, occupancy_resolution, stream_.get()),
+        program_(model, scene, occupancy_resolution, options.trains, stream_.get()),
         average_(0),
         plan_(options.room),
         controls_(kSlots),
@@ -28,15 +31,18 @@ class GpuTrainerProgram : public GpuTrainer {
     stream_.Synchronize();  // the scene may go now
   }
 
-  void SetState(const float* parameters, const float* m, const float* v, int64_t adam_t) override {
-    const size_t n_bytes = Bytes();
-    CopyToDevice(program_.parameters(), parameters, n_bytes, stream_.get());
-    CopyToDevice(program_.m(), m, n_bytes, stream_.get());
-    CopyToDevice(program_.v(), v, n_bytes, stream_.get());
+  void SetParameters(const float* parameters) override {
+    CopyToDevice(program_.parameters(), parameters, Bytes(), stream_.get());
+    program_.QueueTables();
+    stream_.Synchronize();
+  }
+
+  void SetMoments(const float* m, const float* v, int64_t adam_t) override {
+    CopyToDevice(program_.m(), m, Bytes(), stream_.get());
+    CopyToDevice(program_.v(), v, Bytes(), stream_.get());
     AdamState adam;
     adam.t = adam_t;
     CopyToDevice(program_.adam(), &adam, sizeof(adam), stream_.get());
-    program_.QueueTables();
     stream_.Synchronize();
   }
 
@@ -99,6 +105,17 @@ class GpuTrainerProgram : public GpuTrainer {
     return result;
   }
 
+  std::map<std::string, double> Profile(const StepControl& control, int n) override {
+    const bool use_graph = std::exchange(options_.use_graph, false);
+    StartProfile();
+    for (int i = 0; i < n; ++i) Step(control);
+    Finish();
+    std::map<std::string, double> milliseconds;
+    for (const auto& [what, work] : EndProfile()) milliseconds[what] = work.milliseconds / n;
+    options_.use_graph = use_graph;
+    return milliseconds;
+  }
+
   std::vector<StepResult> Finish() override {
     std::vector<StepResult> results;
     while (n_read_ < n_queued_) results.push_back(Read());
@@ -119,10 +136,23 @@ class GpuTrainerProgram : public GpuTrainer {
     stream_.Synchronize();
   }
 
-  // For tests: the gradient that the last step left [n_parameters].
-  void GetGradient(float* gradient) {
-    CopyToHost(gradient, program_.gradient(), Bytes(), stream_.get());
-    stream_.Synchronize();
+  std::array<int64_t, 2> Render(const GpuRays& rays, const StepControl& control, const GpuPicture& picture) override {
+    if (!program_.has_room()) MakeRoom();
+    program_.QueuePackWeights();
+    std::array<int64_t, 2> evaluated{};
+    int64_t at_once = program_.room().rays;
+    for (int64_t first = 0; first < rays.n;) {
+      const int64_t n = std::min(at_once, rays.n - first);
+      if (RenderSome(rays, first, n, control, picture, evaluated)) {
+        first += n;
+        at_once = std::min(program_.room().rays, 2 * n);
+      } else if (n == 1) {
+        throw DeviceError("a ray of the picture has more samples than there is room for on the GPU");
+      } else {
+        at_once = n / 2;
+      }
+    }
+    return evaluated;
   }
 
   GpuRoom room() const override { return program_.room(); }
@@ -132,7 +162,60 @@ class GpuTrainerProgram : public GpuTrainer {
  private:
   static constexpr int64_t kSlots = kLag + 1;
 
+  // Before anything is allocated: whether the model, the photos and a step of the fewest rays fit.
+  static const GpuModel& RequireRoom(const GpuModel& model, const GpuScene& scene, const GpuTrainerOptions& options) {
+    const size_t others = (size_t{1} << 20) + Matmul::WorkspaceBytes();  // cameras, occupancy grid
+    GpuRoomPlan least(options.room);
+    while (least.Halve()) {
+    }
+    const size_t free = GetDeviceFacts().free_bytes;
+    const size_t of_model = StepProgram<Storage>::BytesOf(model, options.trains);
+    const size_t of_step = StepProgram<Storage>::BytesOf(model, least.room(), options.trains);
+    const size_t without_photos = of_model + of_step + others, needed = without_photos + scene.pack_bytes;
+    if (needed <= free) return model;
+    const auto mebibytes = [](size_t bytes) { return std::to_string((bytes >> 20) + 1) + " MiB"; };
+    std::string text = mebibytes(needed) + " of GPU memory are needed at the least (" + mebibytes(of_model) +
+                       " for the model, " + mebibytes(scene.pack_bytes) + " for photos, " + mebibytes(of_step) +
+                       " for a step), and " + mebibytes(free) + " are free; ";
+    if (without_photos < free && scene.pack_bytes > 0) {
+      const auto share = static_cast<double>(free - without_photos) / static_cast<double>(scene.pack_bytes);
+      text += "photos of " + std::to_string(static_cast<int>(100 * std::sqrt(share))) + " % of their size would fit";
+    } else {
+      text += "the model does not fit";
+    }
+    throw DeviceError(text);
+  }
+
   size_t Bytes() const { return static_cast<size_t>(model_.n_parameters) * sizeof(float); }
+
+  // False, with nothing done, when there is no room for so many rays.
+  bool RenderSome(const GpuRays& rays, int64_t first, int64_t n, const StepControl& control, const GpuPicture& picture,
+                  std::array<int64_t, 2>& evaluated) {
+    constexpr int64_t kRows = 1024;  // rows of the networks come in multiples of it, so that shapes of products repeat
+    StepControl of_part = control;
+    of_part.n_rays = n;
+    of_part.n_depths = 0;
+    of_part.jitter = false;
+    CopyToDevice(program_.control(), &of_part, sizeof(of_part), stream_.get());
+    program_.QueuePictureRays(rays, first, n);
+    if (ReadNow().n_samples > program_.room().samples) return false;
+    program_.QueuePictureWeights();
+    const StepResult found = ReadNow();
+    if (found.n_shaded > program_.room().shaded) return false;
+    const int64_t rows = std::min(program_.room().shaded, (found.n_shaded + kRows - 1) / kRows * kRows);
+    program_.QueuePictureColours(rows, first, n, picture);
+    stream_.Synchronize();
+    evaluated[0] += found.n_samples;
+    evaluated[1] += found.n_shaded;
+    return true;
+  }
+
+  StepResult ReadNow() {
+    StepResult result;
+    CopyToHost(&result, program_.result(), sizeof(result), stream_.get());
+    stream_.Synchronize();
+    return result;
+  }
 
   StepResult Read() {
     const int64_t slot = n_read_ % kSlots;
@@ -173,5 +256,13 @@ class GpuTrainerProgram : public GpuTrainer {
   Buffer<float> density_points_, density_sigma_;
   Buffer<int64_t> density_count_;
 };
+
+inline std::unique_ptr<GpuTrainer> MakeGpuTrainerProgram(const GpuModel& model, const GpuScene& scene,
+                                                         int occupancy_resolution, const GpuTrainerOptions& options) {
+  if (options.precision == GpuPrecision::kFloat) {
+    return std::make_unique<GpuTrainerProgram<FloatStorage>>(model, scene, occupancy_resolution, options);
+  }
+  return std::make_unique<GpuTrainerProgram<HalfStorage>>(model, scene, occupancy_resolution, options);
+}
 
 }  // namespace nrff::device

@@ -16,28 +16,6 @@ using torch::Tensor;
 // To begin with; a step that needs more makes it.
 constexpr int64_t kSamplesPerRay = 128, kShadedPerRay = 24;
 
-GpuScene MakeGpuScene(const PixelSource& pixels, const DepthSource& depths) {
-  GpuScene scene;
-  scene.pixels_before.push_back(0);
-  const ImagePack& pack = pixels.pack();
-  scene.pack = pack.data();
-  scene.pack_bytes = pack.size_bytes();
-  for (const View& view : pixels.views()) {
-    device::GpuView gpu{{view.fx, view.fy, view.cx, view.cy, {}}, view.width, view.channels, view.pack_offset};
-    std::copy_n(view.scene_from_camera.begin(), 12, gpu.camera.scene_from_camera);
-    scene.views.push_back(gpu);
-    scene.pixels_before.push_back(scene.pixels_before.back() + uint64_t(view.width) * view.height);
-  }
-  scene.depths = depths.targets();
-  return scene;
-}
-
-std::vector<Tensor> ValuesOf(const NrffField& field) {
-  std::vector<Tensor> values;
-  for (const NrffField::Parameter& parameter : field.parameters()) values.push_back(parameter.value.detach());
-  return values;
-}
-
 }  // namespace
 
 GpuTraining::GpuTraining(const GpuTrainerFactory& factory, const TrainState& state, const TrainConfig& config,
@@ -48,14 +26,19 @@ GpuTraining::GpuTraining(const GpuTrainerFactory& factory, const TrainState& sta
   options.room.rays = config.max_rays + (has_depths ? config.depth_rays : 0);
   options.room.samples = kSamplesPerRay * options.room.rays;
   options.room.shaded = std::max(kShadedPerRay * options.room.rays, config.target_shaded * 5 / 4);
-  trainer_ = factory(model_, MakeGpuScene(pixels, depths), config.occupancy_resolution, options);
+  try {
+    trainer_ = factory(model_, MakeGpuScene(pixels, depths), config.occupancy_resolution, options);
+  } catch (const std::exception& error) {
+    throw ResourceError(
+        std::string(error.what()) +
+        "; choose a smaller model with --preset, smaller photos with --max-image-size, or --device cpu");
+  }
   Upload(state);
 }
 
 void GpuTraining::Upload(const TrainState& state) {
-  const std::vector<float> parameters = Flatten(model_, ValuesOf(state.field));
-  const std::vector<float> m = Flatten(model_, state.adam_m), v = Flatten(model_, state.adam_v);
-  trainer_->SetState(parameters.data(), m.data(), v.data(), state.adam_t);
+  trainer_->SetParameters(Flatten(model_, ValuesOf(state.field)).data());
+  trainer_->SetMoments(Flatten(model_, state.adam_m).data(), Flatten(model_, state.adam_v).data(), state.adam_t);
   if (!state.average.empty()) trainer_->SetAverage(Flatten(model_, state.average).data());
   SetOccupancy(state.occupancy);
 }
@@ -80,19 +63,11 @@ void GpuTraining::SetOccupancy(const OccupancyGrid& occupancy) { trainer_->SetOc
 std::optional<GpuTraining::Found> GpuTraining::Step(const Batch& batch, const SceneMap& map,
                                                     const RenderOptions& options, const LossWeights& weights,
                                                     const TrainConfig& config, const Rates& rates) {
-  device::StepControl control;
+  device::StepControl control = MakeControl(map, options);
   control.seed = batch.seed;
   control.step = batch.step;
   control.n_rays = batch.n_rays;
   control.n_depths = batch.n_depths;
-  control.jitter = options.jitter.has_value();
-  control.march_step = options.step;
-  control.near = options.near;
-  control.far = options.far;
-  control.map = map;
-  control.stop_transmittance = float(options.stop_transmittance);
-  control.weight_threshold = float(options.weight_threshold);
-  control.background = float(options.background);
   control.orientation = float(weights.orientation);
   control.density_l1 = float(weights.density_l1);
   control.sparsity = float(weights.sparsity);
@@ -135,6 +110,20 @@ GpuTraining::Found GpuTraining::Understand(const device::StepResult& result) con
 }
 
 void GpuTraining::AddToAverage(int64_t n_averaged) { trainer_->AddToAverage(n_averaged); }
+
+Tensor GpuTraining::Render(const TrainState& state, const Rays& rays, const RenderOptions& options) {
+  trainer_->SetParameters(Flatten(model_, ValuesOf(state.field)).data());
+  const int64_t n = rays.origins.size(0);
+  Tensor rgb = at::empty({n, 3}, torch::kFloat);
+  std::vector<float> depth(n), normal(3 * n), opacity(n);
+  GpuRays of;
+  of.n = n;
+  of.origins = rays.origins.const_data_ptr<float>();
+  of.directions = rays.directions.const_data_ptr<float>();
+  trainer_->Render(of, MakeControl(state.map, options),
+                   {rgb.mutable_data_ptr<float>(), depth.data(), normal.data(), opacity.data()});
+  return rgb;
+}
 
 void GpuTraining::DensityOf(const float* points, int64_t n, float* sigma) const {
   const std::lock_guard lock(mutex_);

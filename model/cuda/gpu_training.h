@@ -1,7 +1,6 @@
 // Training on a GPU between tensors and the GPU's own memory (gpu_trainer.h).
 #pragma once
 
-#include <functional>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -9,16 +8,13 @@
 #include <vector>
 
 #include "model/config.h"
-#include "model/cuda/gpu_trainer.h"
+#include "model/cuda/gpu_factory.h"
 #include "model/depth_batch.h"
 #include "model/ray_batch.h"
 #include "model/train_state.h"
 #include "model/training_step.h"
 
 namespace nrff {
-
-using GpuTrainerFactory = std::function<std::unique_ptr<GpuTrainer>(
-    const GpuModel& model, const GpuScene& scene, int occupancy_resolution, const GpuTrainerOptions& options)>;
 
 // The training's state lies on the GPU; a TrainState on the host holds it after Download alone.
 class GpuTraining : public DensitySource {
@@ -53,6 +49,9 @@ class GpuTraining : public DensitySource {
   std::vector<Found> Finish();
 
   void AddToAverage(int64_t n_averaged);
+
+  // Colours [n, 3] of rays as `state`, a changed one of the training's, shows them; Upload sets back what this does.
+  torch::Tensor Render(const TrainState& state, const Rays& rays, const RenderOptions& options);
 
   void DensityOf(const float* points, int64_t n, float* sigma) const override;
   int64_t points_at_once() const override { return int64_t{1} << 20; }

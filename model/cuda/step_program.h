@@ -57,21 +57,24 @@ struct StepMemory {
     Number *values, *derivative;
   };
 
-  StepMemory(const GpuModel& model, const ShadingColumns& columns, const GpuRoom& room, Arena& arena) {
+  StepMemory(const GpuModel& model, const ShadingColumns& columns, const GpuRoom& room, bool trains, Arena& arena) {
     const bool directional = model.encoding == DirectionalEncoding::kRee;
     const int64_t n = room.samples, k = room.shaded;
+    const auto take_backward = [&](auto of, int64_t size) {
+      return trains ? arena.Take<decltype(of)>(size) : static_cast<decltype(of)*>(nullptr);
+    };
     origins = arena.Take<float>(3 * room.rays);
     directions = arena.Take<float>(3 * room.rays);
-    target = arena.Take<float>(3 * room.rays);
-    distance = arena.Take<float>(room.rays);
-    spread = arena.Take<float>(room.rays);
+    target = take_backward(float{}, 3 * room.rays);
+    distance = take_backward(float{}, room.rays);
+    spread = take_backward(float{}, room.rays);
     counts = arena.Take<int64_t>(room.rays);
     ray_offsets = arena.Take<int64_t>(room.rays + 1);
     shaded_offsets = arena.Take<int64_t>(room.rays + 1);
     scratch_bytes = ScratchOfSums(room.rays);
     scratch = arena.Take<char>(static_cast<int64_t>(scratch_bytes));
     transmittance = arena.Take<float>(room.rays);
-    d_transmittance = arena.Take<float>(room.rays);
+    d_transmittance = take_backward(float{}, room.rays);
     n_reached = arena.Take<int64_t>(room.rays);
 
     t = arena.Take<float>(n);
@@ -79,47 +82,52 @@ struct StepMemory {
     points = arena.Take<float>(3 * n);
     sigma = arena.Take<float>(n);
     weights = arena.Take<float>(n);
-    d_weights = arena.Take<float>(n);
-    d_sigma = arena.Take<float>(n);
+    d_weights = take_backward(float{}, n);
+    d_sigma = take_backward(float{}, n);
 
     shaded = arena.Take<int64_t>(k);
     shaded_points = arena.Take<float>(3 * k);
     shaded_directions = arena.Take<float>(3 * k);
     rgb = arena.Take<float>(3 * k);
-    d_rgb = arena.Take<float>(3 * k);
-    d_normals = arena.Take<float>(3 * k);
+    d_rgb = take_backward(float{}, 3 * k);
+    d_normals = take_backward(float{}, 3 * k);
     int64_t widest = 0;
     const auto take_hidden = [&](const std::vector<GpuModel::Layer>& layers, std::vector<Hidden>& hidden) {
       for (size_t l = 0; l < layers.size(); ++l) {
         widest = std::max({widest, Padded(layers[l].n_in), Padded(layers[l].n_out)});
         if (l + 1 == layers.size()) break;
         auto* values = arena.Take<Number>(k * Padded(layers[l].n_out));
-        hidden.push_back({values, arena.Take<Number>(k * Padded(layers[l].n_out))});
+        hidden.push_back({values, take_backward(Number{}, k * Padded(layers[l].n_out))});
       }
     };
     features = arena.Take<Number>(k * Padded(model.spatial.front().n_in));
-    d_features = arena.Take<Number>(k * Padded(model.spatial.front().n_in));
+    d_features = take_backward(Number{}, k * Padded(model.spatial.front().n_in));
     take_hidden(model.spatial, spatial_hidden);
     spatial_out = arena.Take<float>(k * columns.spatial_out_row);
-    d_spatial_out = arena.Take<Number>(k * columns.spatial_out_row);
+    d_spatial_out = take_backward(Number{}, k * columns.spatial_out_row);
     if (directional) {
       reflections = arena.Take<Reflection>(k);
-      d_reflected = arena.Take<float>(3 * k);
+      d_reflected = take_backward(float{}, 3 * k);
       directional_in = arena.Take<Number>(k * columns.directional_in_row);
-      d_directional_in = arena.Take<Number>(k * columns.directional_in_row);
+      d_directional_in = take_backward(Number{}, k * columns.directional_in_row);
       lobe_in = arena.Take<Number>(k * columns.n_theta * columns.lobe_in_row);
       lobe_raw = arena.Take<float>(k * columns.n_theta * columns.lobe_raw_row);
-      d_lobe_in = arena.Take<Number>(k * columns.n_theta * columns.lobe_in_row);
-      d_lobe_raw = arena.Take<Number>(k * columns.n_theta * columns.lobe_raw_row);
+      d_lobe_in = take_backward(Number{}, k * columns.n_theta * columns.lobe_in_row);
+      d_lobe_raw = take_backward(Number{}, k * columns.n_theta * columns.lobe_raw_row);
       take_hidden(model.directional, directional_hidden);
       specular = arena.Take<float>(k * columns.specular_row);
-      d_specular = arena.Take<Number>(k * columns.specular_row);
+      d_specular = take_backward(Number{}, k * columns.specular_row);
     }
-    for (Number*& gradient : layer_gradients) gradient = arena.Take<Number>(k * widest);
+    for (Number*& gradient : layer_gradients) gradient = take_backward(Number{}, k * widest);
+    colour = arena.Take<float>(3 * room.rays);
+    depth = arena.Take<float>(room.rays);
+    normal = arena.Take<float>(3 * room.rays);
+    opacity = arena.Take<float>(room.rays);
   }
 
   // Per ray.
   float *origins, *directions, *target, *distance, *spread, *transmittance, *d_transmittance;
+  float *colour, *depth, *normal, *opacity;  // of pictures
   int64_t *counts, *ray_offsets, *shaded_offsets, *n_reached;
   char* scratch;
   size_t scratch_bytes;
@@ -145,17 +153,19 @@ class StepProgram {
   using Number = typename Storage::Number;
   using Table = typename Storage::Table;
 
-  StepProgram(const GpuModel& model, const GpuScene& scene, int occupancy_resolution, CudaStream stream)
+  // `trains`: or only makes pictures, in less memory.
+  StepProgram(const GpuModel& model, const GpuScene& scene, int occupancy_resolution, bool trains, CudaStream stream)
       : model_(model),
+        trains_(trains),
         stream_(stream),
         matmul_(stream),
         columns_(ColumnsOf(model)),
         density_(model.density),
         appearance_(model.appearance),
         parameters_(model.n_parameters),
-        m_(model.n_parameters),
-        v_(model.n_parameters),
-        gradient_(model.n_parameters),
+        m_(trains ? model.n_parameters : 0),
+        v_(m_.size()),
+        gradient_(m_.size()),
         occupancy_resolution_(occupancy_resolution),
         occupancy_cells_(int64_t{occupancy_resolution} * occupancy_resolution * occupancy_resolution / 64),
         occupancy_blocks_(occupancy_cells_.size() / 8),
@@ -187,19 +197,25 @@ class StepProgram {
     for (const auto& layer : model.directional) layers_.emplace_back(layer);
   }
 
-  // Bytes of a step's memory.
-  size_t BytesOf(const GpuRoom& room) const {
+  // Bytes of a step's memory, and of what does not depend on a step's room, but for some MiB.
+  static size_t BytesOf(const GpuModel& model, const GpuRoom& room, bool trains) {
     Arena arena(nullptr);
-    const StepMemory<Storage> memory(model_, columns_, room, arena);
+    const StepMemory<Storage> memory(model, ColumnsOf(model), room, trains, arena);
     return arena.used();
   }
+  static size_t BytesOf(const GpuModel& model, bool trains) {
+    const auto n = static_cast<size_t>(model.n_parameters), n_grid = static_cast<size_t>(model.n_grid);
+    return n * sizeof(float) * (trains ? 4 : 1) + (std::is_same_v<Table, float> ? 0 : n_grid * sizeof(Table)) +
+           (n - n_grid) * (sizeof(Number) + sizeof(float));  // of layers
+  }
+  size_t BytesOf(const GpuRoom& room) const { return BytesOf(model_, room, trains_); }
   // Throws OutOfDeviceMemory; then there is no room at all.
   void MakeRoom(const GpuRoom& room) {
     memory_.reset();
     block_ = {};
     block_ = Buffer<char>(static_cast<int64_t>(BytesOf(room)));
     Arena arena(block_.data());
-    memory_.emplace(model_, columns_, room, arena);
+    memory_.emplace(model_, columns_, room, trains_, arena);
     room_ = room;
   }
   const GpuRoom& room() const { return room_; }
@@ -231,14 +247,61 @@ class StepProgram {
     ForEach("begin", 1, stream_, BeginStep{result_.data()});
     Zero(gradient_.data(), static_cast<size_t>(gradient_.size()) * sizeof(float), stream_);
     QueueRays();
+    QueueCount();
     QueueTrace();
+    QueueSelectCount();
     QueueSelect();
     QueuePackWeights();
-    QueueShade();
+    QueueShade(room_.shaded);
     QueueLosses();
     QueueShadeBackward();
     QueueDensityBackward();
     QueueOptimise();
+  }
+
+  // Pictures in three parts, between which the host sees how many samples there are.
+  void QueuePictureRays(const GpuRays& rays, int64_t first, int64_t n) {
+    ForEach("begin", 1, stream_, BeginStep{result_.data()});
+    if (rays.origins != nullptr) {
+      const size_t n_bytes = static_cast<size_t>(3 * n) * sizeof(float);
+      CopyToDevice(memory_->origins, rays.origins + 3 * first, n_bytes, stream_);
+      CopyToDevice(memory_->directions, rays.directions + 3 * first, n_bytes, stream_);
+    } else {
+      ForEach("view", n, stream_,
+              DrawView{control_.data(), rays.camera, rays.width, rays.first + first, memory_->origins,
+                       memory_->directions});
+    }
+    QueueCount();
+  }
+  void QueuePictureWeights() {
+    QueueTrace();
+    QueueSelectCount();
+  }
+  // rows: of the networks, for all samples to be shaded; a multiple of 8.
+  void QueuePictureColours(int64_t rows, int64_t first, int64_t n, const GpuPicture& picture) {
+    StepMemory<Storage>& at = *memory_;
+    if (rows > 0) {
+      QueueSelect();
+      QueueShade(rows);
+    }
+    ForEach("picture", n, stream_,
+            PictureRays{control_.data(), at.ray_offsets, at.shaded_offsets, at.shaded, at.t, at.weights,
+                        at.transmittance, at.rgb, at.reflections, at.colour, at.depth, at.normal, at.opacity});
+    const auto copy = [&](float* to, const float* from, int64_t n_channels) {
+      CopyToHost(to + n_channels * first, from, static_cast<size_t>(n_channels * n) * sizeof(float), stream_);
+    };
+    copy(picture.rgb, at.colour, 3);
+    copy(picture.depth, at.depth, 1);
+    copy(picture.normal, at.normal, 3);
+    copy(picture.opacity, at.opacity, 1);
+  }
+  // Of the present parameters, for pictures.
+  void QueuePackWeights() {
+    for (Layer& layer : layers_) {
+      ForEach("pack weights", layer.packed.size(), stream_,
+              PackWeight<Number>{parameters_.data() + layer.shape.weight, layer.shape.n_out, layer.shape.n_in,
+                                 layer.in_row, layer.packed.data()});
+    }
   }
 
   // points and sigma on the device.
@@ -336,11 +399,15 @@ class StepProgram {
     ForEach("offsets", room_.rays + 1, stream_, LimitOffsets{room_.rays, most, offsets, total});
   }
 
-  void QueueTrace() {
+  void QueueCount() {
     StepMemory<Storage>& at = *memory_;
     ForEach("count samples", room_.rays, stream_,
             CountSamples{control_.data(), occupancy(), at.origins, at.directions, at.counts});
     QueueOffsets(at.ray_offsets, room_.samples, &result_.data()->n_samples);
+  }
+
+  void QueueTrace() {
+    StepMemory<Storage>& at = *memory_;
     ForEach("fill samples", room_.rays, stream_,
             FillSamples{control_.data(), occupancy(), at.origins, at.directions, at.ray_offsets, at.t, at.delta,
                         at.points});
@@ -355,21 +422,17 @@ class StepProgram {
     ForEach("weights", room_.rays, stream_, ComputeWeights{control_.data(), args});
   }
 
-  void QueueSelect() {
+  void QueueSelectCount() {
     StepMemory<Storage>& at = *memory_;
     ForEach("count shaded", room_.rays, stream_, CountShaded{control_.data(), at.ray_offsets, at.weights, at.counts});
     QueueOffsets(at.shaded_offsets, room_.shaded, &result_.data()->n_shaded);
+  }
+
+  void QueueSelect() {
+    StepMemory<Storage>& at = *memory_;
     ForEach("fill shaded", room_.rays, stream_,
             FillShaded{control_.data(), at.ray_offsets, at.shaded_offsets, at.weights, at.points, at.directions,
                        at.shaded, at.shaded_points, at.shaded_directions});
-  }
-
-  void QueuePackWeights() {
-    for (Layer& layer : layers_) {
-      ForEach("pack weights", layer.packed.size(), stream_,
-              PackWeight<Number>{parameters_.data() + layer.shape.weight, layer.shape.n_out, layer.shape.n_in,
-                                 layer.in_row, layer.packed.data()});
-    }
   }
 
   // input [rows][in_row] → values [rows][out_row], in one of the two forms; without the bias.
@@ -395,16 +458,16 @@ class StepProgram {
   }
 
   // The layers before `first_activated` are followed by no activation.
-  void QueueNetwork(const Layer* layers, size_t n_layers, size_t first_activated, const Number* input,
+  void QueueNetwork(const Layer* layers, size_t n_layers, size_t first_activated, int64_t rows, const Number* input,
                     const std::vector<typename StepMemory<Storage>::Hidden>& hidden, float* output) {
     for (size_t l = 0; l + 1 < n_layers; ++l) {
       const Layer& layer = layers[l];
-      QueueProducts(layer, l == 0 ? input : hidden[l - 1].values, room_.shaded, hidden[l].values, nullptr);
-      ForEach("activation", room_.shaded * layer.out_row, stream_,
+      QueueProducts(layer, l == 0 ? input : hidden[l - 1].values, rows, hidden[l].values, nullptr);
+      ForEach("activation", rows * layer.out_row, stream_,
               Activate<Number>{parameters_.data() + layer.shape.bias, layer.shape.n_out, layer.out_row,
                                model_.activation, l >= first_activated, hidden[l].values, hidden[l].derivative});
     }
-    QueueLastLayer(layers[n_layers - 1], n_layers == 1 ? input : hidden.back().values, room_.shaded, output);
+    QueueLastLayer(layers[n_layers - 1], n_layers == 1 ? input : hidden.back().values, rows, output);
   }
 
   // Gradients of the layer's weight and bias and, unless it is null, of its input. d_output [rows][out_row].
@@ -456,28 +519,29 @@ class StepProgram {
     }
   }
 
-  void QueueShade() {
+  void QueueShade(int64_t rows) {
     StepMemory<Storage>& at = *memory_;
     WithChannels(appearance_.n_channels, [&](auto channels) {
       constexpr int kChannels = decltype(channels)::value;
       const GridConcatForwardProgram<Table, Number, kChannels> program{
-          appearance_, AppearanceTable(), at.shaded_points, n_shaded(), room_.shaded, at.features, layers_[0].in_row};
+          appearance_, AppearanceTable(), at.shaded_points, n_shaded(), rows, at.features, layers_[0].in_row};
       ForEach("appearance features", program.size(), stream_, program);
     });
-    QueueNetwork(layers_.data(), n_spatial(), model_.decodes ? 1 : 0, at.features, at.spatial_hidden, at.spatial_out);
+    QueueNetwork(layers_.data(), n_spatial(), model_.decodes ? 1 : 0, rows, at.features, at.spatial_hidden,
+                 at.spatial_out);
     if (directional()) {
-      ForEach("reflect", room_.shaded, stream_,
+      ForEach("reflect", rows, stream_,
               ReflectSamples<Number>{columns_, n_shaded(), at.spatial_out, at.shaded_directions, at.reflections,
                                      at.directional_in});
-      ForEach("share", room_.shaded * columns_.spatial_out_row, stream_,
+      ForEach("share", rows * columns_.spatial_out_row, stream_,
               ShareSpatial<Number>{columns_, at.spatial_out, at.directional_in, at.lobe_in});
-      QueueLastLayer(lobe_layer(), at.lobe_in, room_.shaded * columns_.n_theta, at.lobe_raw);
-      ForEach("lobes", room_.shaded * columns_.n_lobes(), stream_,
+      QueueLastLayer(lobe_layer(), at.lobe_in, rows * columns_.n_theta, at.lobe_raw);
+      ForEach("lobes", rows * columns_.n_lobes(), stream_,
               EncodeLobes<Number>{columns_, lobes_.data(), at.reflections, at.lobe_raw, at.directional_in});
-      QueueNetwork(directional_layers(), model_.directional.size(), 0, at.directional_in, at.directional_hidden,
+      QueueNetwork(directional_layers(), model_.directional.size(), 0, rows, at.directional_in, at.directional_hidden,
                    at.specular);
     }
-    ForEach("colours", room_.shaded, stream_,
+    ForEach("colours", rows, stream_,
             ColourSamples{at.spatial_out, at.specular, columns_.spatial_out_row, columns_.specular_row, at.rgb});
   }
 
@@ -561,6 +625,7 @@ class StepProgram {
   }
 
   GpuModel model_;
+  bool trains_;
   CudaStream stream_;
   Matmul matmul_;
   ShadingColumns columns_;

@@ -60,7 +60,7 @@ struct Activate {
   int64_t n, row;
   Activation activation;
   bool active;  // or only the bias
-  T *values, *derivative;
+  T *values, *derivative;  // derivative may be null
 
   NRFF_HOST_DEVICE void operator()(int64_t i) const {
     const int64_t c = i % row;
@@ -76,7 +76,7 @@ struct Activate {
       }
     }
     FromFloat(x, values[i]);
-    FromFloat(slope, derivative[i]);
+    if (derivative != nullptr) FromFloat(slope, derivative[i]);
   }
 };
 
@@ -280,6 +280,38 @@ struct CompositeRays {
     }
     AtomicAdd(&result->mse, mse);
     AtomicAdd(&result->orientation, orientation);
+  }
+};
+
+// What a ray shows, without losses: RenderedImage of render/image_renderer.h, before depths and normals are normalised.
+struct PictureRays {
+  const StepControl* control;
+  const int64_t *ray_offsets, *shaded_offsets, *shaded;
+  const float *t, *weights, *transmittance, *rgb;
+  const Reflection* reflections;  // null: without normals
+  float *colour, *depth, *normal, *opacity;  // [n_rays, 3], [n_rays], [n_rays, 3], [n_rays]
+
+  NRFF_HOST_DEVICE void operator()(int64_t r) const {
+    if (r >= control->n_rays) return;
+    const RayThreshold threshold(*control, weights, ray_offsets[r], ray_offsets[r + 1]);
+    float sum[3] = {}, direction[3] = {}, seen = 0, distance = 0;
+    for (int64_t k = shaded_offsets[r]; k < shaded_offsets[r + 1]; ++k) {
+      const float weight = weights[shaded[k]];
+      seen += weight;
+      for (int c = 0; c < 3; ++c) {
+        sum[c] += weight * rgb[3 * k + c];
+        if (reflections != nullptr) direction[c] += weight * reflections[k].normal[c];
+      }
+    }
+    for (int64_t i = ray_offsets[r]; i < ray_offsets[r + 1]; ++i) distance += weights[i] * t[i];
+    // Samples that were left out take the mean colour of the others.
+    const float with_left_out = seen > 0 ? 1 + threshold.left_out / seen : 1;
+    for (int c = 0; c < 3; ++c) {
+      colour[3 * r + c] = with_left_out * sum[c] + transmittance[r] * control->background;
+      normal[3 * r + c] = direction[c];
+    }
+    depth[r] = distance;
+    opacity[r] = 1 - transmittance[r];
   }
 };
 

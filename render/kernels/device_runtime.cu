@@ -5,7 +5,9 @@
 
 #include <cub/device/device_scan.cuh>
 #include <map>
+#include <memory>
 #include <tuple>
+#include <vector>
 
 #include "render/kernels/device_runtime.h"
 
@@ -35,7 +37,12 @@ OutOfDeviceMemory::OutOfDeviceMemory(size_t asked_bytes, size_t free_bytes)
       free(free_bytes) {}
 
 DeviceFacts GetDeviceFacts() {
-  int device = 0;
+  int n_gpus = 0, device = 0;
+  const cudaError_t error = cudaGetDeviceCount(&n_gpus);
+  if (error != cudaSuccess || n_gpus == 0) {
+    throw DeviceError(std::string("no GPU that CUDA can use: ") +
+                      (error != cudaSuccess ? cudaGetErrorString(error) : "there is none"));
+  }
   Check(cudaGetDevice(&device), "looking for a GPU");
   cudaDeviceProp properties{};
   Check(cudaGetDeviceProperties(&properties, device), "asking for the GPU's properties");
@@ -83,6 +90,7 @@ void Copy(void* to, const void* from, size_t bytes, CudaStream stream) {
   Check(cudaMemcpyAsync(to, from, bytes, cudaMemcpyDeviceToDevice, stream), "copying on the GPU");
 }
 void Zero(void* memory, size_t bytes, CudaStream stream) {
+  const ProfileScope scope("clear", stream);
   Check(cudaMemsetAsync(memory, 0, bytes, stream), "clearing GPU memory");
 }
 
@@ -95,6 +103,52 @@ Mark::~Mark() { (void)cudaEventDestroy(EventOf(event_)); }
 void Mark::Record(CudaStream stream) { Check(cudaEventRecord(EventOf(event_), stream), "recording an event"); }
 void Mark::Wait() const { Check(cudaEventSynchronize(EventOf(event_)), "waiting for the GPU"); }
 
+namespace {
+
+struct Profile {
+  struct Entry {
+    std::string what;
+    cudaEvent_t begin, end;
+  };
+  std::vector<Entry> entries;
+};
+std::unique_ptr<Profile>& TheProfile() {
+  static std::unique_ptr<Profile> profile;
+  return profile;
+}
+
+}  // namespace
+
+void StartProfile() { TheProfile() = std::make_unique<Profile>(); }
+
+std::map<std::string, ProfiledWork> EndProfile() {
+  std::map<std::string, ProfiledWork> works;
+  const std::unique_ptr<Profile> profile = std::move(TheProfile());
+  for (const Profile::Entry& entry : profile->entries) {
+    Check(cudaEventSynchronize(entry.end), "waiting for the GPU");
+    float milliseconds = 0;
+    Check(cudaEventElapsedTime(&milliseconds, entry.begin, entry.end), "timing");
+    ProfiledWork& work = works[entry.what];
+    ++work.n;
+    work.milliseconds += milliseconds;
+    (void)cudaEventDestroy(entry.begin);
+    (void)cudaEventDestroy(entry.end);
+  }
+  return works;
+}
+
+ProfileScope::ProfileScope(const char* what, CudaStream stream) : stream_(stream), recording_(TheProfile() != nullptr) {
+  if (!recording_) return;
+  Profile::Entry entry{what, nullptr, nullptr};
+  Check(cudaEventCreate(&entry.begin), "making an event");
+  Check(cudaEventCreate(&entry.end), "making an event");
+  Check(cudaEventRecord(entry.begin, stream), "recording an event");
+  TheProfile()->entries.push_back(entry);
+}
+ProfileScope::~ProfileScope() {
+  if (recording_) (void)cudaEventRecord(TheProfile()->entries.back().end, stream_);
+}
+
 size_t ScratchOfSums(int64_t n) {
   size_t bytes = 0;
   Check(cub::DeviceScan::InclusiveSum(nullptr, bytes, static_cast<const int64_t*>(nullptr),
@@ -105,7 +159,8 @@ size_t ScratchOfSums(int64_t n) {
 
 void ExclusiveSums(const int64_t* values, int64_t n, int64_t* sums, void* scratch, size_t scratch_bytes,
                    CudaStream stream) {
-  Zero(sums, sizeof(int64_t), stream);
+  const ProfileScope scope("sums", stream);
+  Check(cudaMemsetAsync(sums, 0, sizeof(int64_t), stream), "summing");
   Check(cub::DeviceScan::InclusiveSum(scratch, scratch_bytes, values, sums + 1, n, stream), "summing");
 }
 
@@ -175,6 +230,7 @@ struct Matmul::State {
   template <typename T>
   void Multiply(const MatmulArgs<T>& args, cudaDataType_t type) {
     const Plan& plan = PlanOf(args, type);
+    const ProfileScope scope("products", stream);
     const float one = 1, zero = 0;
     void* c = args.c_float != nullptr ? static_cast<void*>(args.c_float) : static_cast<void*>(args.c);
     Check(cublasLtMatmul(handle, plan.operation, &one, args.b, plan.b, args.a, plan.a, &zero, c, plan.c, c, plan.c,
@@ -189,6 +245,7 @@ struct Matmul::State {
   std::map<Key, Plan> plans;
 };
 
+size_t Matmul::WorkspaceBytes() { return State::kWorkspaceBytes; }
 Matmul::Matmul(CudaStream stream) : state_(std::make_unique<State>(stream)) {}
 Matmul::~Matmul() = default;
 void Matmul::operator()(const MatmulArgs<float>& args) const { state_->Multiply(args, CUDA_R_32F); }

@@ -13,6 +13,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
 #include <stdexcept>
 #include <string>
@@ -113,6 +114,27 @@ class Mark {
   void* event_ = nullptr;
 };
 
+// How long each kind of work takes between StartProfile and EndProfile, by its name. Work that is queued by a graph is
+// not seen. One stream's at a time.
+struct ProfiledWork {
+  int64_t n = 0;  // times
+  double milliseconds = 0;
+};
+void StartProfile();
+std::map<std::string, ProfiledWork> EndProfile();
+// Of one piece of work: while it lives, what is queued.
+class ProfileScope {
+ public:
+  ProfileScope(const char* what, CudaStream stream);
+  ~ProfileScope();
+  ProfileScope(const ProfileScope&) = delete;
+  ProfileScope& operator=(const ProfileScope&) = delete;
+
+ private:
+  CudaStream stream_ = nullptr;
+  bool recording_ = false;
+};
+
 // sums[i] = Σ_{j < i} values[j] for i ≤ n. scratch: ScratchOfSums(n) bytes of the device.
 size_t ScratchOfSums(int64_t n);
 void ExclusiveSums(const int64_t* values, int64_t n, int64_t* sums, void* scratch, size_t scratch_bytes,
@@ -142,6 +164,7 @@ class Matmul {
   ~Matmul();
   Matmul(const Matmul&) = delete;
   Matmul& operator=(const Matmul&) = delete;
+  static size_t WorkspaceBytes();  // of the device's memory
   void operator()(const MatmulArgs<float>& args) const;
   void operator()(const MatmulArgs<Bf16>& args) const;
 
@@ -174,7 +197,7 @@ class Graph {
 void CheckLaunch(const char* what);
 
 template <typename Body>
-__global__ void RunKernel(int64_t n, Body body) {
+__global__ void RunKernel(int64_t n, const __grid_constant__ Body body) {
   const int64_t stride = int64_t(gridDim.x) * blockDim.x;
   for (int64_t i = int64_t(blockIdx.x) * blockDim.x + threadIdx.x; i < n; i += stride) body(i);
 }
@@ -183,6 +206,7 @@ __global__ void RunKernel(int64_t n, Body body) {
 template <typename Body>
 void ForEach(const char* what, int64_t n, CudaStream stream, const Body& body) {
   if (n <= 0) return;
+  const ProfileScope scope(what, stream);
   constexpr int kThreads = 128;
   constexpr int64_t kMostBlocks = int64_t{1} << 30;
   const int64_t n_blocks = (n + kThreads - 1) / kThreads;
@@ -196,7 +220,8 @@ void ForEach(const char* what, int64_t n, CudaStream stream, const Body& body) {
 void Submit(int64_t n, std::function<void(int64_t)> body);
 
 template <typename Body>
-void ForEach(const char* /*what*/, int64_t n, CudaStream /*stream*/, const Body& body) {
+void ForEach(const char* what, int64_t n, CudaStream stream, const Body& body) {
+  const ProfileScope scope(what, stream);
   if (n > 0) Submit(n, body);
 }
 

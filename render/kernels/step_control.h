@@ -16,6 +16,8 @@ struct StepControl {
   double march_step = 0, near = 0, far = 0;  // MarchArgs
   SceneMap map;
   float stop_transmittance = 0, weight_threshold = 0, background = 0;
+  // Pictures alone: a ray's samples of least weight are left out as long as their weights sum to at most this.
+  float colour_tolerance = 0;
   // LossWeights of model/training_step.h
   float orientation = 0, density_l1 = 0, sparsity = 0, depth = 0;
   // AdamOptions of model/kernels/adam.h

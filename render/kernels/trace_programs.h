@@ -45,6 +45,22 @@ struct DrawPixels {
   }
 };
 
+// Rays through the pixels first, first + 1, … of a view, row by row.
+struct DrawView {
+  const StepControl* control;
+  PinholeCamera camera;
+  int width;
+  int64_t first;
+  float *origins, *directions;  // [n_rays, 3]
+
+  NRFF_HOST_DEVICE void operator()(int64_t r) const {
+    if (r >= control->n_rays) return;
+    const int64_t pixel = first + r;
+    PixelRay(camera, static_cast<int>(pixel % width), static_cast<int>(pixel / width), origins + 3 * r,
+             directions + 3 * r);
+  }
+};
+
 // DepthSource::Draw of model/depth_batch.h, ray by ray.
 struct DrawDepths {
   const StepControl* control;
@@ -143,6 +159,28 @@ struct ComputeWeights {
   }
 };
 
+// The greatest of some thresholds whose samples of less weight sum to at most the tolerance, and that sum.
+struct RayThreshold {
+  float value, left_out = 0;
+
+  NRFF_HOST_DEVICE RayThreshold(const StepControl& control, const float* weights, int64_t begin, int64_t end)
+      : value(control.weight_threshold) {
+    if (control.colour_tolerance <= 0) return;
+    constexpr int kRungs = 10;
+    float sums[kRungs] = {};
+    for (int64_t i = begin; i < end; ++i) {
+      float rung = control.colour_tolerance;
+      for (int k = 0; k < kRungs && weights[i] <= rung; ++k, rung *= 0.5F) sums[k] += weights[i];
+    }
+    float rung = control.colour_tolerance;
+    for (int k = 0; k < kRungs && rung > value; ++k, rung *= 0.5F) {
+      if (sums[k] > control.colour_tolerance) continue;
+      value = rung;
+      left_out = sums[k];
+    }
+  }
+};
+
 struct CountShaded {
   const StepControl* control;
   const int64_t* ray_offsets;
@@ -152,7 +190,8 @@ struct CountShaded {
   NRFF_HOST_DEVICE void operator()(int64_t r) const {
     int64_t n = 0;
     if (r < control->n_rays) {
-      for (int64_t i = ray_offsets[r]; i < ray_offsets[r + 1]; ++i) n += weights[i] > control->weight_threshold;
+      const RayThreshold threshold(*control, weights, ray_offsets[r], ray_offsets[r + 1]);
+      for (int64_t i = ray_offsets[r]; i < ray_offsets[r + 1]; ++i) n += weights[i] > threshold.value;
     }
     counts[r] = n;
   }
@@ -167,9 +206,10 @@ struct FillShaded {
 
   NRFF_HOST_DEVICE void operator()(int64_t r) const {
     if (r >= control->n_rays) return;
+    const RayThreshold threshold(*control, weights, ray_offsets[r], ray_offsets[r + 1]);
     int64_t to = shaded_offsets[r];
     for (int64_t i = ray_offsets[r]; i < ray_offsets[r + 1] && to < shaded_offsets[r + 1]; ++i) {
-      if (!(weights[i] > control->weight_threshold)) continue;
+      if (!(weights[i] > threshold.value)) continue;
       shaded[to] = i;
       for (int k = 0; k < 3; ++k) {
         shaded_points[3 * to + k] = points[3 * i + k];

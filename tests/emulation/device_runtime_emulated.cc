@@ -2,6 +2,7 @@
 // queued, unless a graph is captured.
 
 #include <algorithm>
+#include <chrono>
 #include <cstdlib>
 #include <cstring>
 #include <map>
@@ -157,6 +158,37 @@ Mark::~Mark() = default;
 void Mark::Record(CudaStream /*stream*/) {}
 void Mark::Wait() const { RefuseInCapture("a mark is waited for"); }
 
+namespace {
+
+struct Profile {
+  std::map<std::string, ProfiledWork> works;
+  std::string what;
+  std::chrono::steady_clock::time_point begin;
+};
+std::unique_ptr<Profile>& TheProfile() {
+  static std::unique_ptr<Profile> profile;
+  return profile;
+}
+
+}  // namespace
+
+void StartProfile() { TheProfile() = std::make_unique<Profile>(); }
+std::map<std::string, ProfiledWork> EndProfile() { return std::exchange(TheProfile(), nullptr)->works; }
+
+ProfileScope::ProfileScope(const char* what, CudaStream stream)
+    : stream_(stream), recording_(TheProfile() != nullptr && TheDevice().capture == nullptr) {
+  if (!recording_) return;
+  TheProfile()->what = what;
+  TheProfile()->begin = std::chrono::steady_clock::now();
+}
+ProfileScope::~ProfileScope() {
+  if (!recording_) return;
+  ProfiledWork& work = TheProfile()->works[TheProfile()->what];
+  ++work.n;
+  work.milliseconds +=
+      std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - TheProfile()->begin).count();
+}
+
 size_t ScratchOfSums(int64_t n) { return static_cast<size_t>(n) * sizeof(int64_t); }
 
 void ExclusiveSums(const int64_t* values, int64_t n, int64_t* sums, void* scratch, size_t scratch_bytes,
@@ -174,6 +206,7 @@ void ExclusiveSums(const int64_t* values, int64_t n, int64_t* sums, void* scratc
 }
 
 struct Matmul::State {};
+size_t Matmul::WorkspaceBytes() { return 0; }
 Matmul::Matmul(CudaStream /*stream*/) {}
 Matmul::~Matmul() = default;
 
@@ -181,6 +214,7 @@ namespace {
 
 template <typename T>
 void Multiply(const MatmulArgs<T>& args) {
+  const ProfileScope scope("products", nullptr);
   if (args.m % 8 != 0 || args.n % 8 != 0 || args.k % 8 != 0) throw DeviceError("sizes of products are multiples of 8");
   Queue([args] {
 #pragma omp parallel for schedule(static)

@@ -191,7 +191,7 @@ TEST(BadInput, WhatOnlyTrainingWouldRefuseIsRefusedBeforeAnythingRuns) {
   };
   expect({"--preset", "huge"}, ExitCode::kUsage, "the presets are paper, small, tiny");
   expect({"--set", "field.colour=3"}, ExitCode::kUsage, "there is no field.colour; there are");
-  expect({"--device", "cuda"}, ExitCode::kResource, "CPU only");
+  expect({"--device", "cuda"}, ExitCode::kResource, "use --device auto or cpu");
   expect({"--max-image-size", "7"}, ExitCode::kUsage, "from 16 to 65536");
   expect({"--max-image-size", "70000"}, ExitCode::kUsage, "from 16 to 65536");
   expect({"--threads", "2000"}, ExitCode::kUsage, "from 1 to 1024");

@@ -83,7 +83,8 @@ TEST(Metrics, SsimOfBrightFlatImages) {
   std::vector<long double> window(kSsimWindow);
   long double total = 0;
   for (int k = 0; k < kSsimWindow; ++k) {
-    window[k] = std::exp(-0.5L * (k - kSsimWindow / 2) * (k - kSsimWindow / 2) / (kSsimSigma * kSsimSigma));
+    const int off = k - kSsimWindow / 2;
+    window[k] = std::exp(-0.5L * off * off / (kSsimSigma * kSsimSigma));
     total += window[k];
   }
   const long double c1 = kSsimK1 * kSsimK1, c2 = kSsimK2 * kSsimK2;
