@@ -17,7 +17,7 @@ readonly scene=scene.tar.xz
 fail() { echo "gpu.sh: $*" >&2; exit 1; }
 
 prepare() {
-  local node=$1 data=$2 capture=$2/scenes/lego_nsvf_400 work
+  local node=$1 capture=$2/scenes/lego_nsvf_400
   [ -d "$capture" ] || fail "$capture is not there; --prepare needs the folder that holds scenes/lego_nsvf_400"
   "$root/tools/build.sh" cpu
   [ -e "$root/build/libnrff_cuda.so" ] || fail "build/libnrff_cuda.so was not built: put nvcc of the CUDA toolkit on the PATH"
@@ -28,8 +28,7 @@ prepare() {
   trap 'rm -rf "$work"' EXIT
   "$root/build/bin/nrff-ingest" "$capture" --out "$work/ingest" --quiet
   "$root/build/bin/nrff-pose" normalise --ingest "$work/ingest" --out "$work/pose" --quiet
-  tar -C "$work" --sort=name --mtime=@0 --owner=0 --group=0 -cf - \
-    pose/manifest.json pose/scene.json pose/images.u8 pose/depths.bin | xz -T0 -6 >"$node/$scene"
+  tar -C "$work" --sort=name --mtime=@0 --owner=0 --group=0 -cf - pose | xz -T0 -6 >"$node/$scene"
   git -C "$root" describe --always --dirty >"$node/commit"
   check "$node"
 }
@@ -44,9 +43,9 @@ check() {
   [ "$bytes" -le "$most_bytes" ] || fail "$node has $bytes bytes, more than the $most_bytes that can be carried"
   tar -tJf "$node/$scene" >/dev/null || fail "$node/$scene cannot be read"
   for file in "${programs[@]}"; do
-    # What the GPU's machine has: libtorch with its libraries, CUDA's, the C and C++ libraries.
+    # What the GPU's machine has: this folder, libtorch with its libraries, CUDA's, the C and C++ libraries.
     missing=$(objdump -p "$node/$file" | sed -n 's/ *NEEDED *//p' | grep -Ev \
-      '^(libtorch_cpu|libc10|libcublasLt|libcudart|libgomp|libgcc_s|libstdc\+\+|libm|libc|libdl|libpthread|librt|ld-linux)' || true)
+      '^(libnrff_cuda|libtorch_cpu|libc10|libcublasLt|libcudart|libgomp|libgcc_s|libstdc\+\+|libm|libc|libdl|libpthread|librt|ld-linux)' || true)
     [ -z "$missing" ] || fail "$file needs $missing, which the GPU's machine does not have"
   done
   echo "gpu.sh: $node is complete: $bytes bytes"
@@ -76,10 +75,11 @@ PARTS
 }
 
 run() {
-  local node out work name seconds command start code failed=0 outcomes=""
+  local node out name seconds command start code failed=0 outcomes=""
   node=$(cd "$1" && pwd) out=$2
+  check "$node"
   LD_LIBRARY_PATH=$(libraries)
-  export LD_LIBRARY_PATH
+  export LD_LIBRARY_PATH=$node:$LD_LIBRARY_PATH
   work=$(mktemp -d)
   trap 'rm -rf "$work"' EXIT
   tar -C "$work" -xJf "$node/$scene"
@@ -87,6 +87,7 @@ run() {
     echo "== $name"
     start=$(date +%s.%N) code=0
     (eval "timeout $seconds $command") >"$work/$name.log" 2>&1 </dev/null || code=$?
+    if grep -qi 'no GPU' "$work/$name.log"; then code=77; fi  # tests skip without one, which is no pass here
     [ "$code" = 0 ] || { failed=1; tail -n 25 "$work/$name.log"; }
     outcomes+=$(printf '%s\n  "%s": {"exit_code": %d, "seconds": %.1f}' "${outcomes:+,}" "$name" "$code" \
       "$(echo "$(date +%s.%N) $start" | awk '{print $1 - $2}')")
