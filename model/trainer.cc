@@ -105,8 +105,8 @@ Tensor Trainer::RenderMean(const Rays& rays) {
   const c10::NoGradGuard no_grad;
   const RenderOptions options = EvaluationOptions();
   state_.SwapAverage();
-  const Tensor rgb = gpu_ ? gpu_->Render(state_, rays, options)
-                          : RenderRays(state_.field, state_.occupancy, state_.map, rays, options).rgb;
+  Tensor rgb = gpu_ ? gpu_->Render(state_, rays, options)
+                    : RenderRays(state_.field, state_.occupancy, state_.map, rays, options).rgb;
   state_.SwapAverage();
   if (gpu_) gpu_->Upload(state_);
   return rgb;

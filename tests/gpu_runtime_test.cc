@@ -159,7 +159,18 @@ TEST(DeviceNumbers, RoundToTheNearestAndTiesToEven) {
   EXPECT_EQ(half(1 + 0x3p-11F), 1 + 0x1p-9F);
   EXPECT_EQ(half(65504), 65504);
   EXPECT_EQ(half(1e6F), std::numeric_limits<float>::infinity());
+  EXPECT_EQ(half(-65519), -65504);
+  EXPECT_EQ(half(-65520), -std::numeric_limits<float>::infinity());
   EXPECT_EQ(half(0x1p-24F), 0x1p-24F);  // a denormal
+  EXPECT_EQ(half(-0x3p-25F), -0x1p-23F);
+  EXPECT_EQ(half(0x1p-25F), 0);
+  EXPECT_TRUE(std::isnan(half(std::numeric_limits<float>::quiet_NaN())));
+  // Every half is itself.
+  for (uint32_t bits = 0; bits < 0x10000; ++bits) {
+    const Half number{static_cast<uint16_t>(bits)};
+    const float value = ToFloat(number);
+    if (!std::isnan(value)) ASSERT_EQ(half(value), value) << bits;
+  }
 }
 
 TEST(GpuRoom, GrowsToWhatWasFoundAndShrinksToWhatIsUsed) {

@@ -180,6 +180,7 @@ class StepProgram {
     pack_ = Upload(scene.pack, static_cast<int64_t>(scene.pack_bytes));
     depths_ = Upload(scene.depths.data(), n_depths_);
     std::vector<Lobe<float>> lobes;
+    lobes.reserve(static_cast<size_t>(model.lobes.size()));
     for (int l = 0; l < model.lobes.size(); ++l) {
       lobes.push_back({static_cast<float>(model.lobes.sin_theta[l]), static_cast<float>(model.lobes.cos_theta[l]),
                        static_cast<float>(model.lobes.sin_phi[l]), static_cast<float>(model.lobes.cos_phi[l])});

@@ -33,27 +33,48 @@ struct Half {
   uint16_t bits;
 };
 
-inline float ToFloat(Bf16 x) {
-  const uint32_t bits = static_cast<uint32_t>(x.bits) << 16;
+inline uint32_t BitsOf(float x) {
+  uint32_t bits;
+  std::memcpy(&bits, &x, sizeof(bits));
+  return bits;
+}
+inline float FloatOf(uint32_t bits) {
   float value;
   std::memcpy(&value, &bits, sizeof(value));
   return value;
 }
+
+inline float ToFloat(Bf16 x) { return FloatOf(static_cast<uint32_t>(x.bits) << 16); }
 inline void FromFloat(float x, Bf16& to) {
-  uint32_t bits;
-  std::memcpy(&bits, &x, sizeof(bits));
+  const uint32_t bits = BitsOf(x);
   const bool is_nan = (bits & 0x7fffffff) > 0x7f800000;
   const uint32_t rounded = bits + 0x7fff + ((bits >> 16) & 1);
   to.bits = is_nan ? uint16_t{0x7fff} : static_cast<uint16_t>(rounded >> 16);
 }
+
 inline float ToFloat(Half x) {
-  _Float16 value;
-  std::memcpy(&value, &x.bits, sizeof(value));
-  return static_cast<float>(value);
+  const uint32_t sign = static_cast<uint32_t>(x.bits & 0x8000) << 16, exponent = (x.bits >> 10) & 31;
+  const uint32_t fraction = x.bits & 0x3ff;
+  if (exponent == 0) {  // denormal
+    const float value = static_cast<float>(fraction) * 0x1p-24F;
+    return sign != 0 ? -value : value;
+  }
+  return FloatOf(sign | ((exponent == 31 ? 255 : exponent + 112) << 23) | (fraction << 13));
 }
 inline void FromFloat(float x, Half& to) {
-  const auto value = static_cast<_Float16>(x);
-  std::memcpy(&to.bits, &value, sizeof(value));
+  const uint32_t bits = BitsOf(x), sign = (bits >> 16) & 0x8000, magnitude = bits & 0x7fffffff;
+  uint32_t half;
+  if (magnitude > 0x7f800000) {
+    half = 0x7e00;  // NaN
+  } else if (magnitude >= 0x477ff000) {
+    half = 0x7c00;  // 65520 and more round to infinity
+  } else if (magnitude < 0x38800000) {
+    // Below 2⁻¹⁴: adding ½ rounds to multiples of 2⁻²⁴.
+    half = BitsOf(FloatOf(magnitude) + 0.5F) - BitsOf(0.5F);
+  } else {
+    half = (magnitude + 0xfff + ((magnitude >> 13) & 1) - 0x38000000) >> 13;
+  }
+  to.bits = static_cast<uint16_t>(sign | half);
 }
 
 #endif

@@ -127,9 +127,10 @@ void Collect(const std::string& out, const std::vector<std::string>& entries) {
 int main(int argc, char** argv) {
   const std::vector<std::string> arguments(argv + 1, argv + argc);
   try {
-    if (arguments.size() == 4 && arguments[0] == "measure") {
+    const std::string what = arguments.empty() ? "" : arguments[0];
+    if (what == "measure" && arguments.size() == 4) {
       nrff::Measure(arguments[1], arguments[2], arguments[3]);
-    } else if (arguments.size() >= 2 && arguments[0] == "collect") {
+    } else if (what == "collect" && arguments.size() >= 2) {
       nrff::Collect(arguments[1], {arguments.begin() + 2, arguments.end()});
     } else {
       std::fprintf(stderr, "usage: gpu_bench measure SCENE MODEL OUT.json | collect OUT.json KEY=FILE...\n");
@@ -138,9 +139,9 @@ int main(int argc, char** argv) {
   } catch (const nrff::Error& error) {
     std::fprintf(stderr, "gpu_bench: %s\n", error.what());
     return int(error.code());
-  } catch (const std::exception& error) {
+  } catch (const std::exception& error) {  // of CUDA
     std::fprintf(stderr, "gpu_bench: %s\n", error.what());
-    return 5;
+    return int(nrff::ExitCode::kResource);
   }
   return 0;
 }
