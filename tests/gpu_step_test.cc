@@ -6,13 +6,13 @@
 
 #include <cmath>
 #include <fstream>
-#include <ostream>
 
 #include "model/cuda/gpu_model.h"
 #include "model/depth_batch.h"
 #include "model/training_step.h"
 #include "render/kernels/random.h"
 #include "tests/gpu_under_test.h"
+#include "tests/step_case.h"
 #include "tests/temporary_directory.h"
 
 namespace nrff {
@@ -25,38 +25,6 @@ using torch::Tensor;
 constexpr int kOccupancyResolution = 32;
 constexpr uint64_t kSeed = 7;
 constexpr size_t kPlenty = size_t{1} << 34;
-
-struct Case {
-  const char* name;
-  bool unbounded;
-  Activation activation;
-  LossWeights weights;
-  float stop = 1e-4F, threshold = 1e-4F;
-  int n_depths = 0;
-  void (*change)(FieldConfig&) = [](FieldConfig&) {};
-};
-void PrintTo(const Case& c, std::ostream* out) { *out << c.name; }
-
-FieldConfig SmallField(const Case& c) {
-  FieldConfig config;
-  config.levels = 3;
-  config.base_resolution = 6;
-  config.max_resolution = 20;
-  config.appearance_line_mean = 1;
-  config.density_shift = -1;
-  config.density_scale = c.unbounded ? 12 : 6;
-  config.spatial_width = 24;
-  config.spatial_layers = 3;
-  config.bottleneck_width = 10;
-  config.lobes_theta = 3;
-  config.lobes_phi = 5;
-  config.lobe_row_width = 7;
-  config.directional_layers = 3;
-  config.directional_width = 20;
-  config.activation = c.activation;
-  c.change(config);
-  return config;
-}
 
 // Six cameras around the origin, looking at it, whose pixels are noise; every other one has alpha.
 Scene WriteNoiseScene(const std::filesystem::path& dir) {
@@ -95,7 +63,7 @@ std::vector<SparseDepth> NoiseDepths(const Scene& scene) {
 
 // A scene and a model on both sides.
 struct Sides {
-  explicit Sides(const Case& c)
+  explicit Sides(const StepCase& c)
       : scene(WriteNoiseScene(dir.path())),
         pack(dir.path()),
         depths(scene, c.n_depths > 0 ? NoiseDepths(scene) : std::vector<SparseDepth>{}),
@@ -120,8 +88,8 @@ struct Sides {
     control.near = scene.near;
     control.far = scene.far;
     control.map = map;
-    control.stop_transmittance = c.stop;
-    control.weight_threshold = c.threshold;
+    control.stop_transmittance = float(c.stop);
+    control.weight_threshold = float(c.threshold);
     control.background = kBackground;
     control.orientation = float(c.weights.orientation);
     control.density_l1 = float(c.weights.density_l1);
@@ -158,7 +126,7 @@ struct Sides {
 
 constexpr GpuRoom kRoom{512, 32768, 32768};
 
-class GpuStepTest : public ::testing::TestWithParam<Case> {
+class GpuStepTest : public ::testing::TestWithParam<StepCase> {
  protected:
   void SetUp() override {
     if (!GpuIsThere()) GTEST_SKIP() << "there is no GPU";
@@ -171,7 +139,7 @@ struct Expected {
   TrainingStep::Result result;
   std::vector<Tensor> gradients;
 };
-Expected OnCpu(const Sides& sides, const Case& c) {
+Expected OnCpu(const Sides& sides, const StepCase& c) {
   TrainingStep step(sides.field);
   const PixelSource::Batch batch = sides.pixels.Draw(sides.control.n_rays, kSeed, Sides::kStep);
   std::optional<DepthSource::Batch> depths;
@@ -192,7 +160,7 @@ std::vector<Tensor> LikeParameters(const Sides& sides, const std::vector<float>&
 }
 
 TEST_P(GpuStepTest, FindsWhatTheCpuFindsAndItsGradients) {
-  const Case& c = GetParam();
+  const StepCase& c = GetParam();
   Sides sides(c);
   const Expected expected = OnCpu(sides, c);
   const auto trainer = sides.MakeTrainer({.precision = GpuPrecision::kFloat, .room = kRoom});
@@ -226,25 +194,19 @@ TEST_P(GpuStepTest, FindsWhatTheCpuFindsAndItsGradients) {
   }
 }
 
-Case With(const char* name, void (*change)(FieldConfig&)) {
-  Case c{name, false, Activation::kGelu, {.orientation = 0.3, .density_l1 = 8e-5}};
-  c.change = change;
-  return c;
-}
-
 INSTANTIATE_TEST_SUITE_P(
     Model, GpuStepTest,
-    ::testing::Values(Case{"ColourAlone", false, Activation::kRelu, {}},
-                      Case{"Paper", false, Activation::kGelu, {.orientation = 0.3, .density_l1 = 8e-5}},
-                      Case{"Sparsity", false, Activation::kRelu, {.sparsity = 0.1}},
-                      Case{"StopsEarly", false, Activation::kRelu, {.orientation = 0.3}, 0.02F, 0.02F},
-                      Case{"UnboundedWithDepths",
-                           true,
-                           Activation::kRelu,
-                           {.orientation = 0.3, .sparsity = 1e-3, .depth = 0.1},
-                           0.01F,
-                           0.01F,
-                           100},
+    ::testing::Values(StepCase{"ColourAlone", false, Activation::kRelu, {}},
+                      StepCase{"Paper", false, Activation::kGelu, {.orientation = 0.3, .density_l1 = 8e-5}},
+                      StepCase{"Sparsity", false, Activation::kRelu, {.sparsity = 0.1}},
+                      StepCase{"StopsEarly", false, Activation::kRelu, {.orientation = 0.3}, 0.02, 0.02},
+                      StepCase{"UnboundedWithDepths",
+                               true,
+                               Activation::kRelu,
+                               {.orientation = 0.3, .sparsity = 1e-3, .depth = 0.1},
+                               0.01,
+                               0.01,
+                               100},
                       With("DiffuseAlone", [](FieldConfig& f) { f.directional_encoding = DirectionalEncoding::kNone; }),
                       With("VectorMatrixDecoded",
                            [](FieldConfig& f) {

@@ -1,6 +1,8 @@
 // The training step's hand-written backward pass against autograd in double: the same samples, the same losses, all
 // gradients.
 
+#include "model/training_step.h"
+
 #include <ATen/ATen.h>
 #include <c10/core/GradMode.h>
 #include <gtest/gtest.h>
@@ -8,49 +10,15 @@
 
 #include <memory>
 #include <optional>
-#include <ostream>
 
 #include "model/losses.h"
-#include "model/training_step.h"
 #include "render/compute.h"
+#include "tests/step_case.h"
 
 namespace nrff {
 namespace {
 
 using torch::Tensor;
-
-struct Case {
-  const char* name;
-  bool unbounded;
-  Activation activation;
-  LossWeights weights;
-  double stop = 1e-4, threshold = 1e-4;
-  int n_depths = 0;
-  void (*change)(FieldConfig&) = [](FieldConfig&) {};
-};
-
-void PrintTo(const Case& c, std::ostream* out) { *out << c.name; }
-
-FieldConfig SmallField(const Case& c) {
-  FieldConfig config;
-  config.levels = 3;
-  config.base_resolution = 6;
-  config.max_resolution = 20;
-  config.appearance_line_mean = 1;
-  config.density_shift = -1;
-  config.density_scale = c.unbounded ? 12 : 6;
-  config.spatial_width = 24;
-  config.spatial_layers = 3;
-  config.bottleneck_width = 10;
-  config.lobes_theta = 3;
-  config.lobes_phi = 5;
-  config.lobe_row_width = 7;
-  config.directional_layers = 3;
-  config.directional_width = 20;
-  config.activation = c.activation;
-  c.change(config);
-  return config;
-}
 
 // The field without its finest levels is the field with nothing on them.
 TEST(NrffField, WithoutItsFinestLevelsIsAsIfTheyWereZero) {
@@ -88,16 +56,10 @@ Samples InDouble(Samples samples) {
   return samples;
 }
 
-Case With(const char* name, void (*change)(FieldConfig&)) {
-  Case c{name, false, Activation::kGelu, {.orientation = 0.3, .density_l1 = 8e-5}};
-  c.change = change;
-  return c;
-}
-
-class TrainingStepTest : public ::testing::TestWithParam<Case> {};
+class TrainingStepTest : public ::testing::TestWithParam<StepCase> {};
 
 TEST_P(TrainingStepTest, HasAutogradsGradientsInDouble) {
-  const Case& c = GetParam();
+  const StepCase& c = GetParam();
   const FieldConfig config = SmallField(c);
   const NrffField field(config, torch::kFloat, 3), exact(config, torch::kDouble, 3);
   const SceneMap map = SceneMap::FromBox({-1, -1.1, -0.9}, {1, 0.9, 1}, c.unbounded);
@@ -119,8 +81,7 @@ TEST_P(TrainingStepTest, HasAutogradsGradientsInDouble) {
 
   TrainingStep step(field);
   step.Run(batch, nullptr, occupancy, map, options, {});  // leftovers of another step must not matter
-  const TrainingStep::Result result =
-      step.Run(batch, depths ? &*depths : nullptr, occupancy, map, options, c.weights);
+  const TrainingStep::Result result = step.Run(batch, depths ? &*depths : nullptr, occupancy, map, options, c.weights);
 
   const auto in_double = [](const Rays& rays) {
     return Rays{rays.origins.to(torch::kDouble), rays.directions.to(torch::kDouble)};
@@ -161,24 +122,23 @@ TEST_P(TrainingStepTest, HasAutogradsGradientsInDouble) {
 
 INSTANTIATE_TEST_SUITE_P(
     Model, TrainingStepTest,
-    ::testing::Values(Case{"ColourAlone", false, Activation::kRelu, {}},
-                      Case{"Paper", false, Activation::kGelu, {.orientation = 0.3, .density_l1 = 8e-5}},
-                      Case{"Sparsity", false, Activation::kRelu, {.sparsity = 0.1}},
-                      Case{"StopsEarly", false, Activation::kRelu, {.orientation = 0.3}, 0.02, 0.02},
-                      Case{"NothingStops", false, Activation::kGelu, {.orientation = 0.3}, 0, 1e-6},
-                      Case{"UnboundedWithDepths",
-                           true,
-                           Activation::kRelu,
-                           {.orientation = 0.3, .sparsity = 1e-3, .depth = 0.1},
-                           0.01,
-                           0.01,
-                           100},
+    ::testing::Values(StepCase{"ColourAlone", false, Activation::kRelu, {}},
+                      StepCase{"Paper", false, Activation::kGelu, {.orientation = 0.3, .density_l1 = 8e-5}},
+                      StepCase{"Sparsity", false, Activation::kRelu, {.sparsity = 0.1}},
+                      StepCase{"StopsEarly", false, Activation::kRelu, {.orientation = 0.3}, 0.02, 0.02},
+                      StepCase{"NothingStops", false, Activation::kGelu, {.orientation = 0.3}, 0, 1e-6},
+                      StepCase{"UnboundedWithDepths",
+                               true,
+                               Activation::kRelu,
+                               {.orientation = 0.3, .sparsity = 1e-3, .depth = 0.1},
+                               0.01,
+                               0.01,
+                               100},
                       With("IntegratedDirectionalEncoding",
                            [](FieldConfig& f) { f.directional_encoding = DirectionalEncoding::kIde; }),
                       With("PositionalEncoding",
                            [](FieldConfig& f) { f.directional_encoding = DirectionalEncoding::kPe; }),
-                      With("DiffuseAlone",
-                           [](FieldConfig& f) { f.directional_encoding = DirectionalEncoding::kNone; }),
+                      With("DiffuseAlone", [](FieldConfig& f) { f.directional_encoding = DirectionalEncoding::kNone; }),
                       With("VectorMatrixDecoded",
                            [](FieldConfig& f) {
                              f.levels = 1;
