@@ -108,7 +108,7 @@ Tensor Trainer::RenderMean(const Rays& rays) {
   Tensor rgb = gpu_ ? gpu_->Render(state_, rays, options)
                     : RenderRays(state_.field, state_.occupancy, state_.map, rays, options).rgb;
   state_.SwapAverage();
-  if (gpu_) gpu_->Upload(state_);
+  if (gpu_) gpu_->UploadParameters(state_);
   return rgb;
 }
 
@@ -220,7 +220,8 @@ void Trainer::StepOnCpu(double progress, const RenderOptions& options, const Los
   Account({result, state_.step, state_.n_rays, not_finite});
 }
 
-// What is not finite changes nothing there, either; it is heard of a few steps later.
+// What is not finite changes nothing there, either; it is heard of a few steps later, so that the mean may have taken
+// the parameters in twice.
 void Trainer::StepOnGpu(double progress, const RenderOptions& options, const LossWeights& weights) {
   const GpuTraining::Batch batch{state_.n_rays, weights.depth > 0 ? preset_.train.depth_rays : 0, options_.seed,
                                  uint64_t(state_.step)};

@@ -189,6 +189,7 @@ void TrainToTheEnd(Trainer& trainer, const HeldOutViews& held_out, const std::st
   Progress progress("training", 100, "%");
   const double seconds_before = state.seconds, progress_before = trainer.Progress();
   double seconds_at_checkpoint = state.seconds;
+  trainer.Sync();
   SaveCheckpoint(artifact.dir(), state, settings);  // what training can go back to at the least
   while (!trainer.Done()) {
     try {
@@ -199,8 +200,8 @@ void TrainToTheEnd(Trainer& trainer, const HeldOutViews& held_out, const std::st
           ++state.evaluations;
         if (!held_out.empty()) Evaluate(held_out, trainer);
       }
+      if (state.seconds - seconds_at_checkpoint > kSecondsPerCheckpoint) trainer.Sync();  // may hear of skipped steps
       if (state.seconds - seconds_at_checkpoint > kSecondsPerCheckpoint && state.n_skipped_in_row == 0) {
-        trainer.Sync();
         SaveCheckpoint(artifact.dir(), state, settings);
         artifact.SaveSeconds();
         seconds_at_checkpoint = state.seconds;

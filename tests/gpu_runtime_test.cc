@@ -197,6 +197,9 @@ TEST(GpuRoom, HalvesUntilThereIsNothingLeftToHalve) {
   EXPECT_TRUE(plan.Halve());
   EXPECT_EQ(plan.most_rays(), 500);
   EXPECT_EQ(plan.room(), (GpuRoom{500, 32768, 32768}));
+  // What steps of the room before found does not bring it back.
+  EXPECT_FALSE(plan.Observe({1000, 65536, 65536}, 65000, 60000));
+  EXPECT_FALSE(plan.Observe({1000, 65536, 65536}, 65535, 65535));
   int n = 0;
   while (plan.Halve()) ASSERT_LT(++n, 20);
   EXPECT_EQ(plan.most_rays(), 64);

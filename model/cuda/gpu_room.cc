@@ -21,6 +21,10 @@ GpuRoomPlan::GpuRoomPlan(const GpuRoom& room)
 
 bool GpuRoomPlan::Observe(const GpuRoom& had, int64_t n_samples, int64_t n_shaded) {
   const GpuRoom before = room_;
+  if (had.rays > room_.rays) {  // of a step before the rays were halved
+    n_samples = n_samples * room_.rays / had.rays;
+    n_shaded = n_shaded * room_.rays / had.rays;
+  }
   if (n_samples > had.samples) room_.samples = std::max(room_.samples, RoomFor(n_samples));
   // With too little room for samples their weights were not all seen.
   if (n_shaded > had.shaded) room_.shaded = std::max(room_.shaded, RoomFor(n_shaded));

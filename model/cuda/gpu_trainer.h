@@ -122,8 +122,7 @@ struct GpuTrainerOptions {
   GpuPrecision precision = GpuPrecision::kHalf;
   GpuRoom room;           // to begin with
   bool use_graph = true;  // a step is queued as one graph
-  bool trains =
-      true;  // or makes pictures alone, in less memory: with SetParameters, SetOccupancy, Densities and Render
+  bool trains = true;     // or makes pictures alone, in less memory: with SetParameters, SetOccupancy and Render
 };
 
 }  // namespace nrff

@@ -27,8 +27,22 @@ class GpuTrainerProgram : public GpuTrainer {
         plan_(options.room),
         controls_(kSlots),
         results_(kSlots) {
+    if (options.trains) {  // now, as a step's memory takes what there is
+      average_ = Buffer<float>(model.n_parameters);
+      density_points_ = Buffer<float>(3 * kDensityPoints);
+      density_sigma_ = Buffer<float>(kDensityPoints);
+      density_count_ = Buffer<int64_t>(1);
+    }
     MakeRoom();
     stream_.Synchronize();  // the scene may go now
+  }
+
+  ~GpuTrainerProgram() override {
+    try {
+      stream_.Synchronize();  // what is queued works in memory that goes now
+    } catch (const DeviceError&) {
+      // The error has been seen, or nothing is asked any more.
+    }
   }
 
   void SetParameters(const float* parameters) override {
@@ -54,7 +68,6 @@ class GpuTrainerProgram : public GpuTrainer {
   }
 
   void AddToAverage(int64_t n) override {
-    if (average_.size() == 0) average_ = Buffer<float>(model_.n_parameters);
     if (n == 1) {
       Copy(average_.data(), program_.parameters(), Bytes(), stream_.get());
     } else {
@@ -63,7 +76,6 @@ class GpuTrainerProgram : public GpuTrainer {
     }
   }
   void SetAverage(const float* average) override {
-    if (average_.size() == 0) average_ = Buffer<float>(model_.n_parameters);
     CopyToDevice(average_.data(), average, Bytes(), stream_.get());
     stream_.Synchronize();
   }
@@ -123,17 +135,15 @@ class GpuTrainerProgram : public GpuTrainer {
   }
 
   void Densities(const float* points, int64_t n, float* sigma) override {
-    if (n == 0) return;
-    if (density_points_.size() < 3 * n) {
-      density_points_ = Buffer<float>(3 * n);
-      density_sigma_ = Buffer<float>(n);
-      density_count_ = Buffer<int64_t>(1);
+    for (int64_t first = 0; first < n; first += kDensityPoints) {
+      const int64_t n_part = std::min(kDensityPoints, n - first);
+      CopyToDevice(density_points_.data(), points + 3 * first, static_cast<size_t>(3 * n_part) * sizeof(float),
+                   stream_.get());
+      CopyToDevice(density_count_.data(), &n_part, sizeof(n_part), stream_.get());
+      program_.QueueDensities(density_points_.data(), density_count_.data(), n_part, density_sigma_.data());
+      CopyToHost(sigma + first, density_sigma_.data(), static_cast<size_t>(n_part) * sizeof(float), stream_.get());
+      stream_.Synchronize();
     }
-    CopyToDevice(density_points_.data(), points, static_cast<size_t>(3 * n) * sizeof(float), stream_.get());
-    CopyToDevice(density_count_.data(), &n, sizeof(n), stream_.get());
-    program_.QueueDensities(density_points_.data(), density_count_.data(), n, density_sigma_.data());
-    CopyToHost(sigma, density_sigma_.data(), static_cast<size_t>(n) * sizeof(float), stream_.get());
-    stream_.Synchronize();
   }
 
   std::array<int64_t, 2> Render(const GpuRays& rays, const StepControl& control, const GpuPicture& picture) override {
@@ -161,10 +171,12 @@ class GpuTrainerProgram : public GpuTrainer {
 
  private:
   static constexpr int64_t kSlots = kLag + 1;
+  static constexpr int64_t kDensityPoints = int64_t{1} << 18;
 
   // Before anything is allocated: whether the model, the photos and a step of the fewest rays fit.
   static const GpuModel& RequireRoom(const GpuModel& model, const GpuScene& scene, const GpuTrainerOptions& options) {
-    const size_t others = (size_t{1} << 20) + Matmul::WorkspaceBytes();  // cameras, occupancy grid
+    const size_t others = (size_t{1} << 20) + Matmul::WorkspaceBytes() + scene.depths.size() * sizeof(DepthTarget) +
+                          4 * kDensityPoints * sizeof(float);  // and cameras, occupancy grid
     GpuRoomPlan least(options.room);
     while (least.Halve()) {
     }

@@ -36,8 +36,12 @@ GpuTraining::GpuTraining(const GpuTrainerFactory& factory, const TrainState& sta
   Upload(state);
 }
 
-void GpuTraining::Upload(const TrainState& state) {
+void GpuTraining::UploadParameters(const TrainState& state) {
   trainer_->SetParameters(Flatten(model_, ValuesOf(state.field)).data());
+}
+
+void GpuTraining::Upload(const TrainState& state) {
+  UploadParameters(state);
   trainer_->SetMoments(Flatten(model_, state.adam_m).data(), Flatten(model_, state.adam_v).data(), state.adam_t);
   if (!state.average.empty()) trainer_->SetAverage(Flatten(model_, state.average).data());
   SetOccupancy(state.occupancy);
@@ -112,7 +116,7 @@ GpuTraining::Found GpuTraining::Understand(const device::StepResult& result) con
 void GpuTraining::AddToAverage(int64_t n_averaged) { trainer_->AddToAverage(n_averaged); }
 
 Tensor GpuTraining::Render(const TrainState& state, const Rays& rays, const RenderOptions& options) {
-  trainer_->SetParameters(Flatten(model_, ValuesOf(state.field)).data());
+  UploadParameters(state);
   const int64_t n = rays.origins.size(0);
   Tensor rgb = at::empty({n, 3}, torch::kFloat);
   std::vector<float> depth(n), normal(3 * n), opacity(n);

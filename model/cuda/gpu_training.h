@@ -25,6 +25,7 @@ class GpuTraining : public DensitySource {
 
   // Parameters, moments, mean and occupancy grid, from and to the host. Download waits.
   void Upload(const TrainState& state);
+  void UploadParameters(const TrainState& state);
   void Download(TrainState& state) const;
   void SetOccupancy(const OccupancyGrid& occupancy);
 
@@ -50,11 +51,12 @@ class GpuTraining : public DensitySource {
 
   void AddToAverage(int64_t n_averaged);
 
-  // Colours [n, 3] of rays as `state`, a changed one of the training's, shows them; Upload sets back what this does.
+  // Colours [n, 3] of rays as `state`, a changed one of the training's, shows them; UploadParameters sets back what
+  // this does.
   torch::Tensor Render(const TrainState& state, const Rays& rays, const RenderOptions& options);
 
   void DensityOf(const float* points, int64_t n, float* sigma) const override;
-  int64_t points_at_once() const override { return int64_t{1} << 20; }
+  int64_t points_at_once() const override { return int64_t{1} << 18; }
 
  private:
   Found Understand(const device::StepResult& result) const;

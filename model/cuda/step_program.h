@@ -206,7 +206,7 @@ class StepProgram {
   }
   static size_t BytesOf(const GpuModel& model, bool trains) {
     const auto n = static_cast<size_t>(model.n_parameters), n_grid = static_cast<size_t>(model.n_grid);
-    return n * sizeof(float) * (trains ? 4 : 1) + (std::is_same_v<Table, float> ? 0 : n_grid * sizeof(Table)) +
+    return n * sizeof(float) * (trains ? 5 : 1) + (std::is_same_v<Table, float> ? 0 : n_grid * sizeof(Table)) +
            (n - n_grid) * (sizeof(Number) + sizeof(float));  // of layers
   }
   size_t BytesOf(const GpuRoom& room) const { return BytesOf(model_, room, trains_); }

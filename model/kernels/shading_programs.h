@@ -59,7 +59,7 @@ struct Activate {
   const float* bias;
   int64_t n, row;
   Activation activation;
-  bool active;  // or only the bias
+  bool active;             // or only the bias
   T *values, *derivative;  // derivative may be null
 
   NRFF_HOST_DEVICE void operator()(int64_t i) const {
@@ -288,7 +288,7 @@ struct PictureRays {
   const StepControl* control;
   const int64_t *ray_offsets, *shaded_offsets, *shaded;
   const float *t, *weights, *transmittance, *rgb;
-  const Reflection* reflections;  // null: without normals
+  const Reflection* reflections;             // null: without normals
   float *colour, *depth, *normal, *opacity;  // [n_rays, 3], [n_rays], [n_rays, 3], [n_rays]
 
   NRFF_HOST_DEVICE void operator()(int64_t r) const {
@@ -382,7 +382,6 @@ struct AdamState {
 
 // The L1 term of the density grid: the gradient of its planes and lines by the sign of their values.
 struct DensityL1 {
-  static constexpr int kMaxFactors = 6 * 64;
   int n_factors = 0;
   const int64_t* begins = nullptr;  // [n_factors + 1] of the planes and lines, in their order in memory
   NRFF_HOST_DEVICE float Gradient(int64_t i, float value, float density_l1) const {
@@ -439,7 +438,7 @@ struct DecideStep {
 };
 
 // parameters [n], the grids first, and the tables made of these. Lazy grids leave blocks of 16 elements without
-// gradient as they are (adam.h).
+// gradient as they are (adam.h); so is an element that is zero where the L1 term alone touches its block.
 template <typename Table>
 struct AdamProgram {
   const StepControl* control;

@@ -138,10 +138,12 @@ struct FillSamples {
     if (r >= RaysOf(*control)) return;
     RayMarcher<float> marcher = MarcherOf(*control, occupancy, origins, directions, r);
     for (int64_t i = ray_offsets[r]; i < ray_offsets[r + 1]; ++i) {
-      float at, point[3];
-      if (!marcher.Next(at, point)) return;
+      // Compilers may round a ray's march differently in the two kernels: a sample that is not there again has no
+      // length.
+      float at = 0, point[3] = {0, 0, 0};
+      const bool is_there = marcher.Next(at, point);
       t[i] = at;
-      delta[i] = static_cast<float>(control->march_step);
+      delta[i] = is_there ? static_cast<float>(control->march_step) : 0.F;
       for (int k = 0; k < 3; ++k) points[3 * i + k] = point[k];
     }
   }

@@ -58,19 +58,20 @@ libraries() {
   echo "$torch:$torch/../../nvidia/cu13/lib:/usr/local/cuda/lib64${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}"
 }
 
-# The parts of a run: name, seconds at most, command. $work holds what they write.
+# The parts of a run: name, seconds at most (460 in all), command. racecheck looks at shared memory alone, which only the
+# sums use. $work holds what they write.
 parts() {
   cat <<'PARTS'
-parity 90 "$node/tests/gpu_cuda_test" --gtest_output=json:"$work/parity.json"
-kernels 30 "$node/tests/kernels_cuda_test" --gtest_output=json:"$work/kernels.json"
-stability 60 "$node/tests/stability_cuda" --gtest_output=json:"$work/stability.json"
-memcheck 60 compute-sanitizer --tool memcheck --error-exitcode 9 "$node/tests/gpu_cuda_test" --gtest_filter='*Paper:*RendersWhat*'
-racecheck 60 compute-sanitizer --tool racecheck --error-exitcode 9 "$node/tests/gpu_cuda_test" --gtest_filter='*Paper'
-initcheck 60 compute-sanitizer --tool initcheck --error-exitcode 9 "$node/tests/gpu_cuda_test" --gtest_filter='*Paper'
-ceilings 30 "$node/tests/gpu_ceilings" "$work/ceilings.json"
-train 180 "$node/bin/nrff-train" --scene "$work/pose" --out "$work/train" --device cuda --preset paper
-measure 60 "$node/tests/gpu_bench" measure "$work/pose" "$work/train" "$work/measure.json"
-render 60 "$node/bin/nrff-render" --scene "$work/pose" --model "$work/train" --out "$work/render" --device cuda
+parity 60 "$node/tests/gpu_cuda_test" --gtest_output=json:"$work/parity.json"
+kernels 20 "$node/tests/kernels_cuda_test" --gtest_output=json:"$work/kernels.json"
+stability 30 "$node/tests/stability_cuda" --gtest_output=json:"$work/stability.json"
+memcheck 45 compute-sanitizer --tool memcheck --error-exitcode 9 "$node/tests/gpu_cuda_test" --gtest_filter='*Paper:*RendersWhat*'
+racecheck 30 compute-sanitizer --tool racecheck --error-exitcode 9 "$node/tests/gpu_cuda_test" --gtest_filter='*Paper'
+initcheck 30 compute-sanitizer --tool initcheck --error-exitcode 9 "$node/tests/gpu_cuda_test" --gtest_filter='*Paper'
+ceilings 20 "$node/tests/gpu_ceilings" "$work/ceilings.json"
+train 150 "$node/bin/nrff-train" --scene "$work/pose" --out "$work/train" --device cuda --preset paper
+measure 45 "$node/tests/gpu_bench" measure "$work/pose" "$work/train" "$work/measure.json"
+render 30 "$node/bin/nrff-render" --scene "$work/pose" --model "$work/train" --out "$work/render" --device cuda
 PARTS
 }
 
