@@ -190,6 +190,18 @@ TEST_F(GpuTraining, MakesDoWithLittleMemory) {
   EXPECT_LE(MostGpuMemoryUsed(), needed / 2);
 }
 
+TEST_F(GpuTraining, RefusesAnEncodingThatAGpuHasNot) {
+  Preset preset = BallPreset(60);
+  preset.field.directional_encoding = DirectionalEncoding::kIde;
+  try {
+    const Trainer trainer(scene_, pack_, {}, preset, options_);
+    FAIL() << "was made";
+  } catch (const Error& error) {
+    EXPECT_THAT(error.what(), HasSubstr("directional encoding is ide"));
+    EXPECT_THAT(error.what(), HasSubstr("--device cpu"));
+  }
+}
+
 // Not even the model has room: said with what is missing and what to do.
 TEST_F(GpuTraining, SaysWhatIsMissingWhereTheModelHasNoRoom) {
   if (!LimitGpuMemory(size_t{1} << 16)) GTEST_SKIP() << "a GPU's memory cannot be limited";

@@ -63,7 +63,8 @@ Device ChooseDevice(const std::string& asked) {
   static const Opened opened = Open();
   if (opened.library == nullptr) {
     if (asked == "cuda") {
-      throw ResourceError("--device cuda was asked for, but there is " + opened.what + "; use --device auto or cpu");
+      throw ResourceError("--device cuda was asked for and cannot be had: " + opened.what +
+                          "; use --device auto or cpu");
     }
     return {needs::Cuda(false, opened.what), {}};
   }

@@ -1,7 +1,6 @@
 #include "model/cuda/gpu_model.h"
 
 #include <algorithm>
-#include <stdexcept>
 
 namespace nrff {
 
@@ -9,9 +8,9 @@ GpuModel MakeGpuModel(const NrffField& field) {
   const FieldConfig& config = field.config();
   if (config.directional_encoding != DirectionalEncoding::kRee &&
       config.directional_encoding != DirectionalEncoding::kNone) {
-    throw std::invalid_argument(std::string("directional encoding ") +
-                                kDirectionalEncodings[static_cast<int>(config.directional_encoding)] +
-                                ": a GPU has only ree and none");
+    throw InputError(std::string("the model's directional encoding is ") +
+                     kDirectionalEncodings[static_cast<int>(config.directional_encoding)] +
+                     ", of which the GPU has only ree and none; use --device cpu");
   }
   constexpr int64_t kAlignment = 64;  // elements
   GpuModel model;

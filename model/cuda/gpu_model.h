@@ -1,18 +1,31 @@
 // A field as a GPU sees it, and its parameters to and from the GPU's one array.
 #pragma once
 
+#include <exception>
+#include <string>
 #include <vector>
 
 #include "model/cuda/gpu_trainer.h"
 #include "model/depth_batch.h"
 #include "model/nrff_field.h"
 #include "model/ray_batch.h"
+#include "pipeline/error.h"
 #include "render/volume_renderer.h"
 
 namespace nrff {
 
-// Throws std::invalid_argument for directional encodings that a GPU has not.
+// Throws InputError for directional encodings that a GPU has not.
 GpuModel MakeGpuModel(const NrffField& field);
+
+// What work() returns. What the GPU or its driver reports becomes a ResourceError.
+template <typename Work>
+auto OnGpu(const Work& work) {
+  try {
+    return work();
+  } catch (const std::exception& error) {
+    throw ResourceError("the GPU failed: " + std::string(error.what()) + "; run it again, or with --device cpu");
+  }
+}
 
 // Points into the sources' memory.
 GpuScene MakeGpuScene(const PixelSource& pixels, const DepthSource& depths);

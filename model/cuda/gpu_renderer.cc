@@ -38,9 +38,10 @@ RenderedImage GpuRenderer::Render(const View& view, const SceneMap& map, const R
   image.depth.resize(rays.n);
   image.normal.resize(3 * rays.n);
   image.opacity.resize(rays.n);
-  const auto evaluated =
-      gpu_->Render(rays, MakeControl(map, options),
-                   {image.rgb.data(), image.depth.data(), image.normal.data(), image.opacity.data()});
+  const auto evaluated = OnGpu([&] {
+    return gpu_->Render(rays, MakeControl(map, options),
+                        {image.rgb.data(), image.depth.data(), image.normal.data(), image.opacity.data()});
+  });
   image.n_samples = evaluated[0];
   image.n_shaded = evaluated[1];
   NormaliseGeometry(image);

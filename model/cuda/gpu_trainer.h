@@ -96,8 +96,8 @@ class GpuTrainer {
   virtual void SetOccupancy(const OccupancyBits& bits) = 0;
 
   // Queues a step, with as many of the control's rays as there is memory for. Returns what the step kLag before it
-  // found; that of a step whose samples found no room, and which changed nothing, has n_samples or n_shaded beyond
-  // room() of then, and more room is made for the following.
+  // found; that of a step whose samples found no room, and which changed nothing, has no had_room, and more room is
+  // made for the following.
   static constexpr int kLag = 4;
   virtual std::optional<device::StepResult> Step(const device::StepControl& control) = 0;
   // Milliseconds of each kind of work of a step, the mean of n steps that are queued one piece of work at a time.
@@ -113,9 +113,7 @@ class GpuTrainer {
   virtual std::array<int64_t, 2> Render(const GpuRays& rays, const device::StepControl& control,
                                         const GpuPicture& picture) = 0;
 
-  virtual GpuRoom room() const = 0;
-  virtual int64_t most_rays() const = 0;  // that a step of this model has memory for, as far as is known
-  virtual size_t bytes() const = 0;       // of the device's memory
+  virtual size_t bytes() const = 0;  // of the device's memory, that a step takes
 };
 
 struct GpuTrainerOptions {

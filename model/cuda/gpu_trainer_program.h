@@ -165,8 +165,6 @@ class GpuTrainerProgram : public GpuTrainer {
     return evaluated;
   }
 
-  GpuRoom room() const override { return program_.room(); }
-  int64_t most_rays() const override { return plan_.most_rays(); }
   size_t bytes() const override { return program_.BytesOf(program_.room()); }
 
  private:

@@ -82,14 +82,15 @@ std::optional<GpuTraining::Found> GpuTraining::Step(const Batch& batch, const Sc
   control.beta2 = config.beta2;
   control.epsilon = config.epsilon;
   control.lazy_grids = config.lazy_grids;
-  const std::optional<device::StepResult> result = trainer_->Step(control);
+  const std::optional<device::StepResult> result = OnGpu([&] { return trainer_->Step(control); });
   if (!result) return std::nullopt;
   return Understand(*result);
 }
 
 std::vector<GpuTraining::Found> GpuTraining::Finish() {
   std::vector<Found> found;
-  for (const device::StepResult& result : trainer_->Finish()) found.push_back(Understand(result));
+  for (const device::StepResult& result : OnGpu([&] { return trainer_->Finish(); }))
+    found.push_back(Understand(result));
   return found;
 }
 
@@ -124,8 +125,10 @@ Tensor GpuTraining::Render(const TrainState& state, const Rays& rays, const Rend
   of.n = n;
   of.origins = rays.origins.const_data_ptr<float>();
   of.directions = rays.directions.const_data_ptr<float>();
-  trainer_->Render(of, MakeControl(state.map, options),
-                   {rgb.mutable_data_ptr<float>(), depth.data(), normal.data(), opacity.data()});
+  OnGpu([&] {
+    return trainer_->Render(of, MakeControl(state.map, options),
+                            {rgb.mutable_data_ptr<float>(), depth.data(), normal.data(), opacity.data()});
+  });
   return rgb;
 }
 
