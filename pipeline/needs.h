@@ -40,10 +40,9 @@ Decision Undistortion(double largest_displacement_px);
 Decision Contraction(bool box_given, bool has_alpha, std::optional<double> background_fraction);
 
 // All pairs are matched when there are few. Beyond that each photo is matched with those most like it at a first look
-// (sfm/first_look.h) and, where they are known, with its next ones in capture order and the nearest ones by GPS, so that
-// pairs grow linearly with photos: ten similar ones hold 96 to 99 % of each photo's five best partners of all
-// (tests/bench/results/matching.md).
-Decision ExhaustiveMatching(int n_images, bool ordered, bool has_gps);
+// (sfm/first_look.h) and, in a capture in the order of taking, with its next ones, so that pairs grow linearly with
+// photos: ten alike hold 97 % and more of each photo's five best partners (tests/bench/results/first_look.md).
+Decision ExhaustiveMatching(int n_images, bool ordered);
 
 // The finest grid resolution that training settles. Few views leave finer cells to be learnt by heart, view by view,
 // unless sparse depths hold the surfaces in place (tests/bench/results/features.md): without depths, fine levels cost
