@@ -51,8 +51,11 @@ while read -r target dictionary; do
   NRFF_WRITE_SEEDS=$build/seeds/$target "$program"
   inputs=("$corpus" "$build/seeds/$target")
   [ ! -d "$root/tests/fuzz/regressions/$target" ] || inputs+=("$root/tests/fuzz/regressions/$target")
-  fast_unwind=1
-  [ "$target" != image ] || fast_unwind=0  # OpenImageIO's leak is known by a frame beyond those without frame pointers
+  fast_unwind=1 most_mb=256
+  if [ "$target" = image ]; then
+    fast_unwind=0  # OpenImageIO's leak is known by a frame beyond those without frame pointers
+    most_mb=1100   # its WebP reader makes room for all pixels of the header, up to 16383 x 16383, before it reads one
+  fi
   spent=0 executions=0 found=0
   [ ! -e "$totals/$target" ] || read -r spent executions edges corpus_size found <"$totals/$target"
   wanted=$(awk "BEGIN {print $spent + $seconds}") before=$executions
@@ -62,7 +65,7 @@ while read -r target dictionary; do
     n_before=$(find "$findings" -type f | wc -l)
     TIMEFORMAT='%U %S'  # and a time-out that work of higher priority does not bring about
     used=$({ time ASAN_OPTIONS=quarantine_size_mb=16:malloc_context_size=20:fast_unwind_on_malloc=$fast_unwind \
-      "$program" -max_total_time="$left" -timeout=60 -rss_limit_mb=1024 -malloc_limit_mb=256 -max_len=16384 \
+      "$program" -max_total_time="$left" -timeout=60 -rss_limit_mb=$((4 * most_mb)) -malloc_limit_mb=$most_mb -max_len=16384 \
       -dict="$root/tests/fuzz/dictionaries/$dictionary.dict" -artifact_prefix="$findings/" -print_final_stats=1 \
       "${inputs[@]}" >"$log" 2>&1 || true; } 2>&1)
     last() { sed -n "s|.*$1: *\([0-9]*\).*|\1|p" "$log" | tail -n 1; }
