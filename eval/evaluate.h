@@ -10,9 +10,10 @@
 //             (which, by name), mean, variants {what each is}, error_map {measure, range},
 //             lpips {network, version, hash} where it was measured
 //   metrics   psnr (dB, mean over images), ssim, lpips (means over images), n_images;
-//             variants {psnr_pooled, psnr_quantised, psnr_foreground}, as other projects print them, null where there
-//             is none; a figure that cannot be given is null and has its <figure>_reason;
-//             n_identical when some images equal their photo: their PSNR is infinite, which JSON cannot say
+//             variants {psnr_pooled, psnr_quantised, psnr_foreground, psnr_right_half, psnr_colour_fitted
+//             (colour_fit.h)}, as other projects print them, null where there is none; a figure that cannot be given is
+//             null and has its <figure>_reason; n_identical when some images equal their photo: their PSNR is infinite,
+//             which JSON cannot say
 //   images    [{id, name, width, height, psnr, ssim, lpips, psnr_quantised, truth, rendered, error}]; paths relative to
 //             metrics.json. psnr null + "identical": true for an image that equals its photo; it is left out of the
 //             mean PSNR. ssim null + "ssim_reason" for an image smaller than the window; it is left out of the mean

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "eval/colour_fit.h"
 #include "eval/lpips.h"
 #include "eval/metrics.h"
 #include "pipeline/json.h"
@@ -36,6 +37,7 @@ struct Score {
   std::optional<double> lpips;    // none when the image is too small, or without a network
   double psnr_quantised = 0;      // dB, both rounded to 8 bits; infinite when equal, as the others
   std::optional<double> psnr_foreground;
+  std::optional<ColourFit> colour_fit;
 };
 
 // LPIPS for many threads, one at a time: OpenCV uses all cores for each.
@@ -54,7 +56,7 @@ Score ScoreImages(const ScoredPair& pair, SharedLpips& lpips);
 // Scores n images, `n_threads` at a time, with progress: score(i) for i in [0, n). The first exception is thrown again.
 std::vector<Score> ScoreAll(size_t n, int n_threads, const std::function<Score(size_t)>& score);
 
-// An image's {psnr, ssim, lpips, psnr_quantised, psnr_foreground, and reasons}.
+// An image's {psnr, ssim, lpips, psnr_quantised, psnr_foreground, psnr_right_half, psnr_colour_fitted, and reasons}.
 Json ScoreToJson(const Score& score, bool with_lpips);
 
 // {psnr, ssim, lpips, n_images, variants, and reasons}. `nothing`: why there is no image, where there is none.

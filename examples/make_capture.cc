@@ -39,6 +39,7 @@ struct Options {
   uint32_t seed = 1;
   bool posed = false;
   Finish finish = Finish::kGlossy;
+  double exposure_drift_ev = 0;
   int n_threads = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
 };
 
@@ -55,6 +56,17 @@ void WriteImage(const fs::path& path, const OIIO::ImageSpec& spec, const void* p
   }
 }
 
+// Exposure rises and falls twice along the capture, white balance once, a third as far and the other way round for
+// blue. Gains of red, green and blue; EV of the exposure.
+double ExposureEv(const Options& options, int i) {
+  return options.exposure_drift_ev / 2 * std::sin(4 * std::numbers::pi * i / options.n_views);
+}
+Vec3d Gain(const Options& options, int i) {
+  const double balance = options.exposure_drift_ev / 6 * std::sin(2 * std::numbers::pi * i / options.n_views);
+  const double ev = ExposureEv(options, i);
+  return {std::exp2(ev + balance), std::exp2(ev), std::exp2(ev - balance)};
+}
+
 OIIO::ImageSpec PhotoSpec(const Options& options, int i) {
   OIIO::ImageSpec spec(options.width, options.height, 3, OIIO::TypeDesc::UINT8);
   spec.attribute("oiio:ColorSpace", "sRGB");
@@ -68,7 +80,7 @@ OIIO::ImageSpec PhotoSpec(const Options& options, int i) {
   spec.attribute("Exif:DateTimeOriginal", time);
   spec.attribute("Exif:FocalLength", static_cast<float>(kFocal35mm / kCropFactor));
   spec.attribute("Exif:FocalLengthIn35mmFilm", kFocal35mm);
-  spec.attribute("ExposureTime", 1.f / 250);
+  spec.attribute("ExposureTime", static_cast<float>(std::exp2(ExposureEv(options, i)) / 250));
   spec.attribute("FNumber", 5.6f);
   spec.attribute("Exif:ISOSpeedRatings", 100);
   return spec;
@@ -128,7 +140,9 @@ Json Truth(const Options& options, const World& world) {
                        {"reflectance", object.material.reflectance}});
   }
   for (int i = 0; i < options.n_views; ++i) {
+    const Vec3d gain = Gain(options, i);
     views.push_back({{"photo", "../" + PhotoPath(options, i)},
+                     {"gain", {gain.x(), gain.y(), gain.z()}},
                      {"depth", "depth/" + ViewName(i) + ".png"},
                      {"normal", "normal/" + ViewName(i) + ".png"}});
   }
@@ -138,6 +152,7 @@ Json Truth(const Options& options, const World& world) {
           {"depth_unit", kDepthUnit},
           {"depth", "distance along the ray through the pixel's centre = value x depth_unit"},
           {"normal", "(n + 1) / 2 x 65535, world axes, z up"},
+          {"gain", "of linear radiance: exposure and white balance"},
           {"objects", objects},
           {"views", views}};
 }
@@ -154,8 +169,9 @@ void MakeCapture(const Options& options) {
   RequireReplaceable(options.out);
   const World world = MakeStillLife(options.finish, options.seed);
   const double diagonal_px = std::hypot(options.width, options.height);
-  const std::vector<Camera> cameras = MakeOrbit(options.n_views, options.width, options.height,
-                                                kFocal35mm / kFullFrameDiagonalMm * diagonal_px, options.seed);
+  std::vector<Camera> cameras = MakeOrbit(options.n_views, options.width, options.height,
+                                          kFocal35mm / kFullFrameDiagonalMm * diagonal_px, options.seed);
+  for (int i = 0; i < options.n_views; ++i) cameras[static_cast<size_t>(i)].gain = Gain(options, i);
   fs::path partial = options.out;
   partial += ".partial";
   fs::remove_all(partial);
@@ -207,6 +223,10 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--seed", options.seed, "Of everything random")->capture_default_str();
   app.add_flag("--posed", options.posed, "Write transforms.json and images/ in place of photos/");
+  app.add_option("--exposure-drift", options.exposure_drift_ev,
+                 "Range of exposures in EV (also written as EXIF); white balance drifts by a third of it")
+      ->check(CLI::Range(0., 6.))
+      ->capture_default_str();
   app.add_option("--scene", options.finish, "diffuse: colours do not depend on the view; glossy (default)")
       ->transform(CLI::Transformer(
           std::map<std::string, nrff::Finish>{{"diffuse", nrff::Finish::kDiffuse}, {"glossy", nrff::Finish::kGlossy}}));

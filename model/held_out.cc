@@ -29,16 +29,17 @@ HeldOutViews::HeldOutViews(const Scene& scene, const ImagePack& pack, double bac
   const size_t n_views = std::min<size_t>(held_out.size(), kMostViews);
   for (size_t i = 0; i < n_views; ++i) {
     const View& view = scene.views[held_out[i * held_out.size() / n_views]];
+    views_.push_back(view);
     batches_.push_back(PixelSource({view}, pack, background).At(Lattice(view, kMostPixels)));
   }
 }
 
-double HeldOutViews::Psnr(const std::function<Tensor(const Rays& rays)>& render) const {
+double HeldOutViews::Psnr(const Render& render) const {
   const c10::NoGradGuard no_grad;
   double sum = 0;
-  for (const PixelSource::Batch& batch : batches_) {
-    const Tensor rgb = render(batch.rays).clamp(0, 1);
-    sum += -10 * std::log10(at::mse_loss(rgb, batch.target).item<double>());
+  for (size_t i = 0; i < batches_.size(); ++i) {
+    const Tensor rgb = render(views_[i], batches_[i].rays).clamp(0, 1);
+    sum += -10 * std::log10(at::mse_loss(rgb, batches_[i].target).item<double>());
   }
   return sum / double(batches_.size());
 }

@@ -49,7 +49,8 @@ PixelSource::Batch PixelSource::Draw(int64_t n, uint64_t seed, uint64_t step) co
 PixelSource::Batch PixelSource::At(const Tensor& pixels) const {
   const int64_t n = pixels.size(0);
   const auto* pixel = pixels.const_data_ptr<int32_t>();
-  Batch batch{RaysThroughPixels(views_, pixels, torch::kFloat), at::empty({n, 3}, torch::kFloat)};
+  Batch batch{RaysThroughPixels(views_, pixels, torch::kFloat), at::empty({n, 3}, torch::kFloat),
+              pixels.select(1, 0).contiguous()};
   auto* target = batch.target.mutable_data_ptr<float>();
   const auto background = float(background_);
   for (int64_t i = 0; i < n; ++i) {

@@ -23,6 +23,7 @@ class PixelSource {
   struct Batch {
     Rays rays;
     torch::Tensor target;  // [n, 3] in [0, 1]
+    torch::Tensor view;    // [n] int32, index into views()
   };
 
   // n pixels, uniform over all pixels of all views, from the stream (seed, kBatch at step).

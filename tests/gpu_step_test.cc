@@ -72,6 +72,7 @@ struct Sides {
         model(MakeGpuModel(field)),
         map(SceneMap::FromBox({-1, -1.1, -0.9}, {1, 0.9, 1}, c.unbounded)),
         occupancy(kOccupancyResolution) {
+    SetCorrections(field);
     gpu_scene = MakeGpuScene(pixels, depths);
     options.step = 0.05;
     options.near = scene.near;
@@ -95,6 +96,8 @@ struct Sides {
     control.density_l1 = float(c.weights.density_l1);
     control.sparsity = float(c.weights.sparsity);
     control.depth = float(c.weights.depth);
+    control.correction = float(c.weights.correction);
+    control.correction_rate = 3e-3;
     control.grid_rate = 0.02;
     control.network_rate = 1e-3;
   }
@@ -186,7 +189,10 @@ TEST_P(GpuStepTest, FindsWhatTheCpuFindsAndItsGradients) {
         << sides.field.parameters()[i].name << " " << largest;
     // Adam by the letter of its own moments.
     const Tensor second = LikeParameters(sides, v)[i];
-    const double rate = sides.field.parameters()[i].is_grid ? sides.control.grid_rate : sides.control.network_rate;
+    const NrffField::Parameter& parameter = sides.field.parameters()[i];
+    const double rate = parameter.is_grid                                           ? sides.control.grid_rate
+                        : parameter.value.is_same(sides.field.colour_corrections()) ? sides.control.correction_rate
+                                                                                    : sides.control.network_rate;
     const Tensor update =
         rate * (moments[i] / (1 - sides.control.beta1)) / ((second / (1 - sides.control.beta2)).sqrt() + 1e-8);
     const Tensor off = values[i] - (sides.field.parameters()[i].value.detach() - update);
@@ -215,7 +221,8 @@ INSTANTIATE_TEST_SUITE_P(
                              f.density_channels = 8;
                              f.appearance_channels = 12;
                              f.decoded_features = 7;
-                           })),
+                           }),
+                      ColourCorrections()),
     [](const auto& info) { return info.param.name; });
 
 }  // namespace

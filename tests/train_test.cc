@@ -130,7 +130,7 @@ TEST_F(TrainTest, ModelReadBackShowsTheSame) {
   SaveModel(out.path(), trainer.state(), trainer.EvaluationOptions());
   const std::unique_ptr<LoadedModel> model = LoadModel(out.path());
   EXPECT_EQ(model->field->config(), trainer.preset().field);
-  const double read_back = HeldOutViews(scene_, pack_, 1).Psnr([&](const Rays& rays) {
+  const double read_back = HeldOutViews(scene_, pack_, 1).Psnr([&](const View& /*view*/, const Rays& rays) {
     return RenderRays(*model->field, model->occupancy, model->map, rays, model->options).rgb;
   });
   EXPECT_EQ(read_back, HeldOutPsnr(trainer));
@@ -282,6 +282,45 @@ TEST(DepthLossTest, IsTheLightThatDoesNotEndAtTheSurface) {
   EXPECT_NEAR(loss.item<double>(), 1 - (0.2 * k[0] + 0.5 * k[1] + 0.1 * k[2] + 0.4 * k[3]) / 3, 1e-15);
   loss.backward();
   for (int i = 0; i < 4; ++i) EXPECT_NEAR(weights.grad()[i].item<double>(), -k[i] / 3, 1e-15);
+}
+
+// Training views 0.7 and 1.43 times as bright by turns; held-out views as they are.
+TEST_F(TrainTest, TheFieldKeepsTheMeanExposureAndViewsTheirOwn) {
+  const TemporaryDirectory other;
+  Scene scene = scene_;
+  std::string bytes = ReadFile(directory_.path() / kPackFile);
+  for (const int v : scene.ViewsOf(Split::kTrain)) {
+    const double gain = v % 2 == 0 ? 0.7 : 1 / 0.7;
+    for (uint64_t i = 0; i < scene.views[v].PixelBytes(); ++i) {
+      char& value = bytes[scene.views[v].pack_offset + i];
+      if (i % 4 != 3) value = char(uint8_t(std::min(255., std::lround(0.7 * gain * uint8_t(value)) + 0.)));
+    }
+  }
+  for (const int v : scene.ViewsOf(Split::kTest)) {
+    for (uint64_t i = 0; i < scene.views[v].PixelBytes(); ++i) {
+      char& value = bytes[scene.views[v].pack_offset + i];
+      if (i % 4 != 3) value = char(uint8_t(std::lround(0.7 * uint8_t(value))));
+    }
+  }
+  WriteFileAtomically(other.path() / kPackFile, bytes);
+  const ImagePack pack(other.path());
+  const auto held_out_psnr = [&](bool corrected, bool gains_given) {
+    for (View& view : scene.views) view.colour_gain = {1, 1, 1};
+    for (const int v : scene.ViewsOf(Split::kTrain)) {
+      if (gains_given) scene.views[v].colour_gain.fill(v % 2 == 0 ? 0.7 : 1 / 0.7);
+    }
+    Preset preset = BallPreset(300);
+    preset.field.corrected_views = corrected ? 6 : 0;
+    Trainer trainer(scene, pack, {}, preset, {});
+    while (!trainer.Done()) trainer.Step();
+    return HeldOutViews(scene, pack, 1).Psnr([&](const View& view, const Rays& rays) {
+      return trainer.RenderMean(view, rays);
+    });
+  };
+  const double plain = held_out_psnr(false, false), learnt = held_out_psnr(true, false),
+               given = held_out_psnr(true, true);
+  EXPECT_GT(learnt, plain + 1);
+  EXPECT_GT(given, plain + 1);
 }
 
 TEST_F(TrainTest, SparseDepthsBringTheSurfaceToWhereTheyAre) {

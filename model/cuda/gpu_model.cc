@@ -22,11 +22,13 @@ GpuModel MakeGpuModel(const NrffField& field) {
   model.encoding = config.directional_encoding;
   model.bottleneck_width = config.bottleneck_width;
   model.activation = config.activation;
+  model.corrected_views = config.corrected_views;
   for (const NrffField::Parameter& parameter : field.parameters()) {
     model.segments.push_back({model.n_parameters, parameter.value.numel()});
     model.n_parameters += (parameter.value.numel() + kAlignment - 1) / kAlignment * kAlignment;
     if (parameter.is_grid) model.n_grid = model.n_parameters;
   }
+  model.corrections = config.corrected_views > 0 ? model.segments.back().begin : model.n_parameters;
   // Layers follow the grids, each a weight and a bias: the order of NrffField's parameters.
   size_t next = 2;
   const auto layer = [&](const LinearLayer& linear) {

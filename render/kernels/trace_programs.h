@@ -26,6 +26,7 @@ struct DrawPixels {
   int n_views;
   const uint8_t* pack;
   float *origins, *directions, *target;  // [n_rays, 3]
+  int* view_of_ray;                      // [n_rays]
 
   NRFF_HOST_DEVICE void operator()(int64_t r) const {
     if (r >= control->n_rays) return;
@@ -37,6 +38,7 @@ struct DrawPixels {
       (pixels_before[middle] <= drawn ? low : high) = middle;
     }
     const GpuView& view = views[low];
+    view_of_ray[r] = low;
     const uint64_t within = drawn - pixels_before[low];
     PixelRay(view.camera, static_cast<int>(within % view.width), static_cast<int>(within / view.width), origins + 3 * r,
              directions + 3 * r);
