@@ -4,6 +4,7 @@
 //   DIR/truth/transforms.json       exact poses (OpenGL axes) and intrinsics of the photos
 //   DIR/truth/truth.json            units, objects, files per view
 //   DIR/truth/depth, DIR/truth/normal   16-bit PNG per view
+//   DIR/photos/masks            with --passers-by: black where a photo shows something else than the scene
 //
 // With --posed DIR is itself a posed capture: DIR/transforms.json and DIR/images/*.png in place of DIR/photos.
 #include <OpenImageIO/imageio.h>
@@ -40,12 +41,20 @@ struct Options {
   bool posed = false;
   Finish finish = Finish::kGlossy;
   double exposure_drift_ev = 0;
+  bool passers_by = false;
   int n_threads = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
 };
 
 std::string ViewName(int i) { return fmt::format("IMG_{:04d}", i + 1); }
 std::string PhotoPath(const Options& options, int i) {
   return options.posed ? "images/" + ViewName(i) + ".png" : "photos/" + ViewName(i) + ".jpg";
+}
+
+// As COLMAP names them.
+std::string MaskPath(const Options& options, int i) {
+  const fs::path photo = PhotoPath(options, i);
+  return (options.posed ? photo.parent_path().parent_path() : photo.parent_path()) / "masks" /
+         (photo.filename().string() + ".png");
 }
 
 void WriteImage(const fs::path& path, const OIIO::ImageSpec& spec, const void* pixels) {
@@ -86,8 +95,36 @@ OIIO::ImageSpec PhotoSpec(const Options& options, int i) {
   return spec;
 }
 
+// A striped ellipse over a seventh of the picture, at another place and in other colours in each; its mask is black
+// there.
+void AddPasserBy(const Options& options, int i, Picture& picture, std::vector<uint8_t>& mask) {
+  const auto random = [&](int k) { return UnitFromHash(Hash(i, k, 17, options.seed)); };
+  const double cx = (0.2 + 0.6 * random(0)) * options.width, cy = (0.3 + 0.4 * random(1)) * options.height;
+  const double rx = 0.15 * options.width, ry = 0.3 * options.height, angle = std::numbers::pi * random(2);
+  const double stripe = 0.03 * options.height * (1 + random(3));
+  mask.assign(static_cast<size_t>(options.width) * options.height, 255);
+  for (int y = 0; y < options.height; ++y) {
+    for (int x = 0; x < options.width; ++x) {
+      const double dx = x + 0.5 - cx, dy = y + 0.5 - cy;
+      if (dx * dx / (rx * rx) + dy * dy / (ry * ry) > 1) continue;
+      const size_t pixel = static_cast<size_t>(y) * options.width + x;
+      mask[pixel] = 0;
+      const bool odd = std::fmod(dx * std::cos(angle) + dy * std::sin(angle) + 1e3 * stripe, 2 * stripe) < stripe;
+      for (int c = 0; c < 3; ++c) {
+        picture.rgb[3 * pixel + static_cast<size_t>(c)] = static_cast<uint8_t>(255 * random(4 + c + (odd ? 3 : 0)));
+      }
+    }
+  }
+}
+
 void WriteView(const Options& options, const World& world, const Camera& camera, int i, const fs::path& dir) {
-  const Picture picture = Render(world, camera, options.samples, options.seed + 7919 * static_cast<uint32_t>(i + 1));
+  Picture picture = Render(world, camera, options.samples, options.seed + 7919 * static_cast<uint32_t>(i + 1));
+  if (options.passers_by) {
+    std::vector<uint8_t> mask;
+    AddPasserBy(options, i, picture, mask);
+    WriteImage(dir / MaskPath(options, i), OIIO::ImageSpec(options.width, options.height, 1, OIIO::TypeDesc::UINT8),
+               mask.data());
+  }
   WriteImage(dir / PhotoPath(options, i), PhotoSpec(options, i), picture.rgb.data());
 
   std::vector<uint16_t> depth(picture.distance.size()), normal(picture.normal.size());
@@ -177,6 +214,7 @@ void MakeCapture(const Options& options) {
   fs::remove_all(partial);
   for (const char* folder : {"truth/depth", "truth/normal"}) fs::create_directories(partial / folder);
   fs::create_directories((partial / PhotoPath(options, 0)).parent_path());
+  if (options.passers_by) fs::create_directories((partial / MaskPath(options, 0)).parent_path());
 
   Progress progress("ray tracing", options.n_views, "views");
   std::atomic<int> next_view = 0, n_done = 0;
@@ -227,6 +265,7 @@ int main(int argc, char** argv) {
                  "Range of exposures in EV (also written as EXIF); white balance drifts by a third of it")
       ->check(CLI::Range(0., 6.))
       ->capture_default_str();
+  app.add_flag("--passers-by", options.passers_by, "Something else covers part of each photo, and masks say where");
   app.add_option("--scene", options.finish, "diffuse: colours do not depend on the view; glossy (default)")
       ->transform(CLI::Transformer(
           std::map<std::string, nrff::Finish>{{"diffuse", nrff::Finish::kDiffuse}, {"glossy", nrff::Finish::kGlossy}}));

@@ -277,7 +277,7 @@ Decision FitDepths(Preset& preset, size_t n_depths, bool unbounded, std::optiona
 
 Decision FitCorrections(Preset& preset, const std::string& name, const Scene& scene, std::optional<bool> forced) {
   const std::vector<int> views = scene.ViewsOf(Split::kTrain);
-  Decision decision = needs::ExposureCorrection(ExposureSpread(scene));
+  Decision decision = needs::ExposureCorrection(ExposureSpread(scene), scene.unbounded);
   if (name == "paper" && decision.needed) {
     decision.needed = false;
     decision.reason = "the preset keeps to the published method";

@@ -125,8 +125,8 @@ Preset MakePreset(const std::string& name, bool unbounded);
 // impossible.
 void ApplySettings(const std::string& settings, Preset& preset);
 
-// Gives every training view a colour correction where their exposures differ; says what was decided. `paper` keeps to
-// the published method unless forced.
+// Gives every training view a colour correction where needs::ExposureCorrection says so; says what was decided. `paper`
+// keeps to the published method unless forced.
 Decision FitCorrections(Preset& preset, const std::string& name, const Scene& scene, std::optional<bool> forced = {});
 
 // Sets depth_weight to 0 where the depths are not needed, to a value where they are forced and the preset has none;

@@ -95,6 +95,7 @@ void SaveScene(const Scene& scene, const fs::path& dir) {
                      {"width", view.width},
                      {"height", view.height},
                      {"channels", view.channels},
+                     {"masked", view.masked},
                      {"pack_offset", view.pack_offset},
                      {"fx", view.fx},
                      {"fy", view.fy},
@@ -156,6 +157,7 @@ Scene LoadScene(const fs::path& dir) {
     view.width = Get<int>(item, "width", view_where);
     view.height = Get<int>(item, "height", view_where);
     view.channels = Get<int>(item, "channels", view_where);
+    view.masked = Get<bool>(item, "masked", view_where);
     view.pack_offset = Get<uint64_t>(item, "pack_offset", view_where);
     view.fx = Get<double>(item, "fx", view_where);
     view.fy = Get<double>(item, "fy", view_where);
@@ -173,6 +175,9 @@ Scene LoadScene(const fs::path& dir) {
     if (view.width < 1 || view.height < 1 || (view.channels != 3 && view.channels != 4)) {
       throw CorruptError(view_where + " is " + std::to_string(view.width) + "×" + std::to_string(view.height) +
                          " with " + std::to_string(view.channels) + " channels, expected at least 1×1 with 3 or 4");
+    }
+    if (view.masked && view.channels != 4) {
+      throw CorruptError(view_where + " is masked but has no alpha channel: run the pose stage again");
     }
     if (view.pack_offset > pack_bytes || view.PixelBytes() > pack_bytes - view.pack_offset) {
       throw CorruptError(view_where + " lies outside " + kPackFile + " (" + std::to_string(pack_bytes) + " bytes)");

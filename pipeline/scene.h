@@ -31,6 +31,7 @@ struct View {
   Split split = Split::kTrain;
   int width = 0, height = 0;  // px
   int channels = 3;           // 3 RGB, 4 RGBA
+  bool masked = false;        // alpha says which pixels count: those of 255; else it shows the background
   uint64_t pack_offset = 0;   // bytes into images.u8
   double fx = 0, fy = 0, cx = 0,
          cy = 0;             // px; principal point in the corner-origin convention (centre of 2×2 px: 1, 1)

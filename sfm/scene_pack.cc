@@ -107,7 +107,7 @@ NormaliseInput NormalisationInput(const Capture& capture, const ColmapModel& mod
   input.plain_background = capture.background != Background::kNone;
   for (const auto& [id, point] : model.points) input.points.push_back(point.position);
   for (const PosedPhoto& p : posed) {
-    input.masked |= p.photo->info.channels == 4;
+    input.masked |= p.photo->info.channels == 4 && capture.masks == Masks::kBackground;
     const PinholeTarget& target = p.camera->target;
     input.cameras.push_back({p.photo->Name(), p.image->rotation.conjugate().toRotationMatrix(), p.image->Center(),
                              std::atan(std::min(target.width / target.fx, target.height / target.fy) / 2)});
@@ -151,8 +151,20 @@ Scene MakeScene(const Capture& capture, const std::vector<PosedPhoto>& posed, co
   uint64_t offset = 0;
   for (const PosedPhoto& p : posed) {
     const PinholeTarget& target = p.camera->target;
-    View view{p.photo->id, p.photo->Name(), p.photo->split, target.width, target.height, p.photo->info.channels,
-              offset,      target.fx,       target.fy,      target.cx,    target.cy,     SceneFromCamera(*p.image, n)};
+    View view;
+    view.id = p.photo->id;
+    view.name = p.photo->Name();
+    view.split = p.photo->split;
+    view.width = target.width;
+    view.height = target.height;
+    view.channels = p.photo->info.channels;
+    view.masked = view.channels == 4 && capture.masks == Masks::kIgnore;
+    view.pack_offset = offset;
+    view.fx = target.fx;
+    view.fy = target.fy;
+    view.cx = target.cx;
+    view.cy = target.cy;
+    view.scene_from_camera = SceneFromCamera(*p.image, n);
     offset += view.PixelBytes();
     scene.views.push_back(std::move(view));
   }

@@ -26,7 +26,8 @@ constexpr int kOccupancyResolution = 32;
 constexpr uint64_t kSeed = 7;
 constexpr size_t kPlenty = size_t{1} << 34;
 
-// Six cameras around the origin, looking at it, whose pixels are noise; every other one has alpha.
+// Six cameras around the origin, looking at it, whose pixels are noise; every other one has alpha, and of one of these
+// about half of the pixels count.
 Scene WriteNoiseScene(const std::filesystem::path& dir) {
   Scene scene;
   scene.near = 0.1;
@@ -39,6 +40,7 @@ Scene WriteNoiseScene(const std::filesystem::path& dir) {
     view.width = 20 + i;
     view.height = 16;
     view.channels = i % 2 == 0 ? 3 : 4;
+    view.masked = i == 3;
     view.pack_offset = offset;
     view.fx = view.fy = 18;
     view.cx = 9.5 + i;
@@ -46,7 +48,10 @@ Scene WriteNoiseScene(const std::filesystem::path& dir) {
     view.scene_from_camera = {x[0], 0, z[0], -2.5 * z[0], x[1], 0, z[1], -2.5 * z[1], 0, -1, 0, 0.1 * i, 0, 0, 0, 1};
     scene.views.push_back(view);
     const int64_t n = int64_t(view.width) * view.height * view.channels;
-    for (int64_t k = 0; k < n; ++k) pack.put(char(RandomBits(1, 2, offset + k) & 0xff));
+    for (int64_t k = 0; k < n; ++k) {
+      const uint64_t bits = RandomBits(1, 2, offset + k);
+      pack.put(char(view.masked && k % 4 == 3 && bits % 2 == 0 ? 255 : bits & 0xff));
+    }
     offset += n;
   }
   return scene;

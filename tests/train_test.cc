@@ -7,6 +7,7 @@
 
 #include <cmath>
 #include <fstream>
+#include <map>
 #include <numbers>
 
 #include "model/checkpoint.h"
@@ -321,6 +322,53 @@ TEST_F(TrainTest, TheFieldKeepsTheMeanExposureAndViewsTheirOwn) {
                given = held_out_psnr(true, true);
   EXPECT_GT(learnt, plain + 1);
   EXPECT_GT(given, plain + 1);
+}
+
+// What does not count is drawn never, all else alike.
+TEST_F(TrainTest, PixelsThatDoNotCountAreNotLearntFrom) {
+  const TemporaryDirectory other;
+  Scene scene = scene_;
+  std::string bytes = ReadFile(directory_.path() / kPackFile);
+  View& view = scene.views[2];
+  view.masked = true;
+  const auto counts = [](int64_t pixel) { return pixel % 7 != 0 && pixel % kBallViewSize > 3; };
+  constexpr int64_t kPixels = kBallViewSize * kBallViewSize;
+  for (int64_t i = 0; i < kPixels; ++i) bytes[view.pack_offset + 4 * i + 3] = char(counts(i) ? 255 : 254);
+  WriteFileAtomically(other.path() / kPackFile, bytes);
+  const ImagePack pack(other.path());
+  const PixelSource source({scene.views[1], view}, pack, 1);
+  const auto n_counting = int64_t(source.pixels_before()[2] - source.pixels_before()[1]);
+  int64_t expected = 0;
+  for (int64_t i = 0; i < kPixels; ++i) expected += counts(i);
+  EXPECT_EQ(n_counting, expected);
+
+  constexpr int64_t kRays = 200000;
+  const PixelSource::Batch batch = source.Draw(kRays, 3, 0);
+  // A ray's pixel, found again by the ray through it.
+  std::vector<int64_t> drawn(kPixels);
+  int64_t n_masked = 0;
+  std::map<std::array<float, 3>, int64_t> pixel_of;
+  for (int64_t i = 0; i < kPixels; ++i) {
+    const auto at =
+        source.At(torch::tensor({1, int(i % kBallViewSize), int(i / kBallViewSize)}, torch::kInt).view({1, 3}));
+    const auto* d = at.rays.directions.const_data_ptr<float>();
+    pixel_of[{d[0], d[1], d[2]}] = i;
+  }
+  for (int64_t r = 0; r < kRays; ++r) {
+    if (batch.view[r].item<int>() != 1) continue;
+    ++n_masked;
+    const auto* d = batch.rays.directions.const_data_ptr<float>() + 3 * r;
+    ++drawn.at(size_t(pixel_of.at({d[0], d[1], d[2]})));
+  }
+  EXPECT_NEAR(double(n_masked) / kRays, double(expected) / double(expected + kPixels), 0.005);
+  const double mean = double(n_masked) / double(expected);
+  for (int64_t i = 0; i < kPixels; ++i) {
+    if (counts(i)) {
+      ASSERT_NEAR(double(drawn[size_t(i)]), mean, 6 * std::sqrt(mean)) << i;
+    } else {
+      ASSERT_EQ(drawn[size_t(i)], 0) << i;
+    }
+  }
 }
 
 TEST_F(TrainTest, SparseDepthsBringTheSurfaceToWhereTheyAre) {

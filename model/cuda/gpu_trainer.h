@@ -54,6 +54,7 @@ struct GpuModel {
 struct GpuScene {
   std::vector<device::GpuView> views;
   std::vector<uint64_t> pixels_before;  // [n_views + 1]
+  std::vector<uint32_t> rows_before;    // PixelSource's
   const uint8_t* pack = nullptr;
   size_t pack_bytes = 0;
   std::vector<DepthTarget> depths;

@@ -179,6 +179,7 @@ class StepProgram {
     n_depths_ = static_cast<int64_t>(scene.depths.size());
     views_ = Upload(scene.views.data(), n_views_);
     pixels_before_ = Upload(scene.pixels_before.data(), static_cast<int64_t>(scene.pixels_before.size()));
+    rows_before_ = Upload(scene.rows_before.data(), static_cast<int64_t>(scene.rows_before.size()));
     pack_ = Upload(scene.pack, static_cast<int64_t>(scene.pack_bytes));
     depths_ = Upload(scene.depths.data(), n_depths_);
     std::vector<Lobe<float>> lobes;
@@ -386,8 +387,8 @@ class StepProgram {
   void QueueRays() {
     StepMemory<Storage>& at = *memory_;
     ForEach("pixels", room_.rays, stream_,
-            DrawPixels{control_.data(), views_.data(), pixels_before_.data(), n_views_, pack_.data(), at.origins,
-                       at.directions, at.target, at.view_of_ray});
+            DrawPixels{control_.data(), views_.data(), pixels_before_.data(), rows_before_.data(), n_views_,
+                       pack_.data(), at.origins, at.directions, at.target, at.view_of_ray});
     if (n_depths_ > 0) {
       ForEach("depths", room_.rays, stream_,
               DrawDepths{control_.data(), depths_.data(), static_cast<uint64_t>(n_depths_), at.origins, at.directions,
@@ -649,6 +650,7 @@ class StepProgram {
   int64_t n_depths_ = 0;
   Buffer<GpuView> views_;
   Buffer<uint64_t> pixels_before_;
+  Buffer<uint32_t> rows_before_;
   Buffer<uint8_t> pack_;
   Buffer<DepthTarget> depths_;
   Buffer<Lobe<float>> lobes_;

@@ -38,7 +38,8 @@ struct StepResult {
 
 struct GpuView {
   PinholeCamera camera;
-  int width = 0, n_channels = 3;
+  int width = 0, height = 0, n_channels = 3;
+  int64_t rows_before = -1;  // where CountingPixel's begin among all views'; < 0: every pixel counts
   uint64_t pack_offset = 0;  // bytes
 };
 
