@@ -50,9 +50,10 @@ TEST_F(MasksTest, AreFoundBesideTheirPhotosUnderEitherName) {
 
 TEST_F(MasksTest, AreFoundInAFolderBesideThatOfThePhotos) {
   WritePhotos(2, "images/left/photo_");
-  WritePhotos(2, "images/right/photo_");
-  for (const char* side : {"left", "right"}) {
-    for (const char* name : {"photo_00", "photo_01"}) WriteMask(std::string("masks/") + side + "/" + name + ".png");
+  WritePhotos(2, "images/right/photo_", {.width = 64});
+  for (const char* name : {"photo_00.png", "photo_01.png"}) {
+    WriteMask(std::string("masks/left/") + name);
+    WriteMask(std::string("masks/right/") + name, 64);
   }
   EXPECT_EQ(MasksOf(RunIngest()), (std::vector<std::string>{"masks/left/photo_00.png", "masks/left/photo_01.png",
                                                             "masks/right/photo_00.png", "masks/right/photo_01.png"}));
@@ -121,7 +122,10 @@ TEST_F(MasksTest, MeanTheBackgroundOrNothingWhereThatIsAskedFor) {
 }
 
 TEST_F(MasksTest, OfTheStoredRasterTurnWithThePhoto) {
-  WritePhotos(3, "photo_", {.metadata = [](OIIO::ImageSpec& spec) { spec.attribute("Orientation", 6); }});
+  for (uint32_t i = 0; i < 3; ++i) {
+    WritePhoto(root_ / ("photo_0" + std::to_string(i) + ".jpg"),
+               {.seed = i, .metadata = [](OIIO::ImageSpec& spec) { spec.attribute("Orientation", 6); }}, "jpeg");
+  }
   WriteMask("masks/photo_00.png");             // 48×32, as stored
   WriteMask("masks/photo_01.png", 32, 48, 8);  // as shown
   const Capture capture = RunIngest();
