@@ -5,6 +5,7 @@
 #include <map>
 #include <sstream>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "eval/error_map.h"
@@ -136,13 +137,6 @@ void CheckSizes(const fs::path& first, const RgbImage& a, const fs::path& second
                    " " + SizeText(b.width, b.height) + "; both must have the same size.");
 }
 
-// Outside the mask, the background in both.
-void Hide(const Mask& mask, Background background, RgbImage& image) {
-  for (size_t i = 0; i < image.rgb.size(); ++i) {
-    if (mask[i / 3] == 0) image.rgb[i] = background == Background::kWhite ? 1 : 0;
-  }
-}
-
 }  // namespace
 
 void Evaluate(const fs::path& scene_dir, const fs::path& renders_dir, const fs::path& out_dir, const Params& params,
@@ -157,8 +151,12 @@ void Evaluate(const fs::path& scene_dir, const fs::path& renders_dir, const fs::
     const HeldOutPairs::Pair read = pairs.Read(i);
     const std::string truth_path = "truth/" + view.id + ".png";
     WriteRgbPng(artifact.dir() / truth_path, view.width, view.height, read.truth);
-    const ScoredPair pair{
-        FromEightBits(view.width, view.height, read.truth), read.rendered.rgb, {}, ForegroundOf(read.photo)};
+    ScoredPair pair{FromEightBits(view.width, view.height, read.truth), read.rendered.rgb, {}, {}};
+    if (read.counts) {
+      Hide(*read.counts, Background::kBlack, pair);
+    } else {
+      pair.foreground = ForegroundOf(read.photo);
+    }
     const Score score =
         scoring.Add(i, view.id, pair, read.photo, read.rendered, shared_lpips, lpips.network != nullptr);
     scoring.entry(i)["name"] = view.name;
@@ -166,7 +164,8 @@ void Evaluate(const fs::path& scene_dir, const fs::path& renders_dir, const fs::
     scoring.entry(i)["rendered"] = EscapePath(fs::proximate(read.rendered_path, out_dir));
     return score;
   });
-  scoring.Finish(scores, lpips, {BackgroundName(pairs.background()), pairs.split_rule(), "area average"}, artifact);
+  scoring.Finish(scores, lpips,
+                 {BackgroundName(pairs.background()), pairs.split_rule(), "area average", pairs.masked()}, artifact);
   if (scores.empty()) LogWarning(std::string("nothing was scored: ") + kNoViewReason);
 }
 
@@ -201,12 +200,12 @@ void Compare(const Folders& folders, const fs::path& out_dir, const Params& para
       const fs::path& mask_path = CounterpartOf(rendered_path, masks, folders.masks);
       const StoredImage mask = ReadImage(mask_path);
       CheckSizes(mask_path, mask.rgb, truth_path, truth.rgb);
-      pair.mask.emplace();
-      for (size_t p = 0; p < mask.rgb.rgb.size(); p += 3) pair.mask->push_back(mask.rgb.rgb[p] >= 0.5 ? 1 : 0);
-      if (std::count(pair.mask->begin(), pair.mask->end(), 1) == 0) {
+      Mask counts;
+      for (size_t p = 0; p < mask.rgb.rgb.size(); p += 3) counts.push_back(mask.rgb.rgb[p] >= 0.5 ? 1 : 0);
+      if (std::count(counts.begin(), counts.end(), 1) == 0) {
         throw InputError("Mask " + EscapePath(mask_path) + " is black all over; it leaves no pixel to compare.");
       }
-      for (RgbImage* image : {&pair.truth, &pair.rendered}) Hide(*pair.mask, folders.background, *image);
+      Hide(std::move(counts), folders.background, pair);
     }
     const std::string id = EscapePath(rendered_path.stem());
     const Score score = scoring.Add(i, id, pair, truth, rendered, shared_lpips, lpips.network != nullptr);

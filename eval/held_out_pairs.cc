@@ -68,9 +68,14 @@ HeldOutPairs::HeldOutPairs(const fs::path& scene_dir, const fs::path& renders_di
 }
 
 Background HeldOutPairs::background() const {
-  const bool has_alpha =
-      std::any_of(held_out_.begin(), held_out_.end(), [&](int index) { return scene_.views[index].channels == 4; });
+  const bool has_alpha = std::any_of(held_out_.begin(), held_out_.end(), [&](int index) {
+    return scene_.views[index].channels == 4 && !scene_.views[index].masked;
+  });
   return has_alpha ? BehindAlpha(scene_.background) : Background::kNone;
+}
+
+bool HeldOutPairs::masked() const {
+  return std::any_of(held_out_.begin(), held_out_.end(), [&](int index) { return scene_.views[index].masked; });
 }
 
 HeldOutPairs::Pair HeldOutPairs::Read(size_t i) const {
@@ -90,7 +95,17 @@ HeldOutPairs::Pair HeldOutPairs::Read(size_t i) const {
                      "; render the views again from this scene.");
   }
   pair.photo = PhotoOf(view, pack_.Pixels(view));
-  pair.truth = ToEightBits(Composited(pair.photo, BehindAlpha(scene_.background)));
+  if (!view.masked) {
+    pair.truth = ToEightBits(Composited(pair.photo, BehindAlpha(scene_.background)));
+    return pair;
+  }
+  pair.truth = ToEightBits(pair.photo.rgb);
+  pair.counts.emplace();
+  for (const double alpha : pair.photo.alpha) pair.counts->push_back(alpha == 1 ? 1 : 0);
+  if (std::count(pair.counts->begin(), pair.counts->end(), 1) == 0) {
+    throw InputError("The mask of held-out view " + view.id + " (" + view.name + ") counts no pixel at " +
+                     SizeText(view.width, view.height) + "; use a larger --max-image-size or a wider mask.");
+  }
   return pair;
 }
 

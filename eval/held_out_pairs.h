@@ -3,6 +3,7 @@
 
 #include <filesystem>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -23,13 +24,17 @@ class HeldOutPairs {
   const std::string& split_rule() const { return split_rule_; }
   // What alpha is composited on; none where no photo has alpha.
   Background background() const;
+  // Whether pixels of some held-out view do not count.
+  bool masked() const;
 
   struct Pair {
     StoredImage photo, rendered;
     std::vector<uint8_t> truth;  // the photo over the background, 8 bits
+    std::optional<Mask> counts;  // of a masked view: which pixels count
     std::filesystem::path rendered_path;
   };
-  // From any thread. Throws InputError when the view was not rendered or has another size than its photo.
+  // From any thread. Throws InputError when the view was not rendered or has another size than its photo, or no pixel
+  // of it counts.
   Pair Read(size_t i) const;
 
  private:

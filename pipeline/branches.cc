@@ -34,7 +34,8 @@ constexpr Forceable kForceable[] = {{"exhaustive_matching", "sfm", "matching", "
                                     {"undistortion", "pose", "undistortion", "on", "off"},
                                     {"contraction", "pose", "contraction", "on", "off"},
                                     {"sparse_depth", "train", "sparse-depth", "on", "off"},
-                                    {"fine_levels", "train", "fine-levels", "on", "off"}};
+                                    {"fine_levels", "train", "fine-levels", "on", "off"},
+                                    {"exposure_correction", "train", "exposure-correction", "on", "off"}};
 
 // The form alone: what keys there are, the training program knows.
 std::string CheckSettings(const std::string& text) {
@@ -89,6 +90,7 @@ Params GivenOptions(const BranchOptions& options) {
   add("steps", options.steps);
   add("seed", options.seed);
   add("device", options.device);
+  add("masks", options.masks);
   add("max-image-size", options.max_image_size);
   add("bit-depth", options.bit_depth);
   add("lpips", options.lpips.empty() || options.lpips == needs::kNoLpips
@@ -151,6 +153,8 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options) {
   budget->check(
       [](const std::string& text) { return std::string(text.empty() ? "give a time, as 90s, 10m, 1h" : ""); });
   add("--steps", options.steps, "N", "Training steps; not with --budget")->check(CheckPositive)->excludes(budget);
+  add("--masks", options.masks, "WHAT", "What masks leave out: ignore (default), background; off")
+      ->check(CLI::IsMember({"ignore", "background", "off"}));
   add("--max-image-size", options.max_image_size, "PX",
       "Shrink photos to this side (default: " + default_of("max-image-size", kMaxImageSize) + ")")
       ->check(CheckImageSize);

@@ -57,6 +57,12 @@ Decision FineLevels(int n_train_views, bool sparse_depth, int finest);
 // (tests/bench/results/features.md); in bounded maryrose 0.4 after 800 steps but −0.2 after 60 s.
 Decision SparseDepth(size_t n_depths, bool unbounded);
 
+// Colour corrections of training views are left out where exposure and white balance hardly differ between them
+// (`spread_ev`: ExposureSpread of scene.h), and in bounded scenes, where an object that was turned before its light
+// looks as if exposures differed. Measured (tests/bench/results/exposure.md): they gain kermit, at 0.14 EV, and ET, at
+// 0.49 EV, more than 1 dB of held-out PSNR, cup 0.4 at 0.28 EV, and cost maryrose, on its turntable, 0.1 at 0.31 EV.
+Decision ExposureCorrection(double spread_ev, bool unbounded);
+
 // The model `small` is left out for `tiny` where so few of its steps fit in the training budget that the smaller model
 // shows more. On training views held out, two cores with AMX (tests/bench/results/presets.md): lego at 200 px 22.4
 // against 26.8 dB after 257 steps of `small`, 27.9 against 27.0 after 657; fox at 384 px (unbounded) 25.3 against 25.7

@@ -11,6 +11,7 @@
 #include "model/cuda/gpu_library.h"
 #include "model/cuda/gpu_renderer.h"
 #include "model/ray_batch.h"
+#include "model/view_colours.h"
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "pipeline/log.h"
@@ -75,6 +76,16 @@ void Render(const Options& options, const Params& params) {
   if (device.gpu) {
     gpu.emplace(device.gpu, *model->field, model->occupancy);
     source.render = [&](const View& view, const RenderOptions& with) { return gpu->Render(view, model->map, with); };
+  }
+  std::vector<View> training;
+  for (const int index : scene.ViewsOf(Split::kTrain)) training.push_back(scene.views[index]);
+  const ViewColours colours(*model->field, std::move(training));
+  // The capture's views as their photos show them, paths all in one exposure.
+  if (!colours.empty() && options.path.empty()) {
+    source.finish = [&](const View& view, RenderedImage& image) {
+      CorrectColours(colours.Of(view), model->options.background, int64_t(image.opacity.size()), image.opacity.data(),
+                     image.rgb.data());
+    };
   }
   const RenderFacts facts = RenderViews(source, views, options.path.empty() ? "" : "path", artifact.dir());
   if (facts.n_kept > 0) LogInfo("kept " + std::to_string(facts.n_kept) + " views of an interrupted attempt");

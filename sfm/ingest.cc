@@ -17,6 +17,7 @@
 #include "pipeline/needs.h"
 #include "sfm/capture.h"
 #include "sfm/image_measures.h"
+#include "sfm/masks.h"
 #include "sfm/photo_work.h"
 #include "sfm/recognise.h"
 
@@ -72,7 +73,11 @@ void Measure(const Source& source, const ColmapCamera* camera, MeasuredPhoto& ph
                     std::to_string(camera->height) + " px");
     }
     image.hash = HashFile(file);
-    const Image pixels = ReadImageOriented(file, info.orientation);
+    Image pixels = ReadImageOriented(file, info.orientation);
+    if (!image.mask.empty()) {
+      ApplyMask(source.root / image.mask, info.orientation, pixels);
+      image.mask_hash = HashFile(source.root / image.mask);
+    }
     info.channels = pixels.channels;
     image.blur = MeasureBlur(pixels);
     photo.look = HashDifferences(pixels);
@@ -96,6 +101,7 @@ std::vector<MeasuredPhoto> MeasureAll(const Source& source, int n_threads) {
   std::vector<MeasuredPhoto> photos(source.images.size());
   ForEachPhoto("reading photos", photos.size(), n_threads, [&](size_t i) {
     photos[i].image.path = source.images[i].path;
+    photos[i].image.mask = source.images[i].mask;
     photos[i].given_split = source.images[i].split;
     const auto camera = cameras.find(source.images[i].path.native());
     Measure(source, camera == cameras.end() ? nullptr : camera->second, photos[i]);
@@ -150,7 +156,7 @@ int GroupCameras(std::vector<CaptureImage>& images) {
   return static_cast<int>(groups.size());
 }
 
-Capture MakeCapture(const Source& source, std::vector<MeasuredPhoto> photos) {
+Capture MakeCapture(const Source& source, std::optional<Masks> masks, std::vector<MeasuredPhoto> photos) {
   Capture capture;
   capture.name = EscapePath(CaptureFolderName(source.root));
   capture.kind = source.kind;
@@ -190,8 +196,13 @@ Capture MakeCapture(const Source& source, std::vector<MeasuredPhoto> photos) {
   }
   const bool has_alpha = std::any_of(capture.images.begin(), capture.images.end(),
                                      [](const CaptureImage& image) { return image.info.channels == 4; });
-  if (capture.background == Background::kNone)
-    capture.background = has_alpha ? Background::kWhite : PlainBackground(training_frames);
+  const bool has_masks = std::any_of(capture.images.begin(), capture.images.end(),
+                                     [](const CaptureImage& image) { return !image.mask.empty(); });
+  capture.masks = masks.value_or(has_masks ? Masks::kIgnore : Masks::kBackground);
+  if (capture.background == Background::kNone) {
+    capture.background =
+        has_alpha && capture.masks == Masks::kBackground ? Background::kWhite : PlainBackground(training_frames);
+  }
   capture.ordered = IsOrdered(paths, timestamps);
   for (const std::vector<int>& group : GroupAlike(looks)) {
     std::vector<std::string>& names = capture.duplicates.emplace_back();
@@ -256,9 +267,10 @@ int CountTest(const std::vector<Split>& splits) {
 
 Json Facts(const Capture& capture, int n_cameras) {
   std::vector<Split> splits;
-  int width = 0, height = 0;
+  int width = 0, height = 0, n_masks = 0;
   bool has_alpha = false;
   for (const CaptureImage& image : capture.images) {
+    n_masks += image.mask.empty() ? 0 : 1;
     splits.push_back(image.split);
     width = std::max(width, image.info.width);
     height = std::max(height, image.info.height);
@@ -276,6 +288,8 @@ Json Facts(const Capture& capture, int n_cameras) {
           {"split_rule", capture.split_rule},
           {"posed", capture.posed},
           {"has_alpha", has_alpha},
+          {"n_masks", n_masks},
+          {"masks", has_alpha ? Json(MasksName(capture.masks)) : Json()},
           {"ordered", capture.ordered},
           {"n_cameras", n_cameras},
           {"width", width},
@@ -289,6 +303,10 @@ Json Facts(const Capture& capture, int n_cameras) {
 void LogOutcome(const Capture& capture, const Json& facts) {
   LogInfo(capture.name + ": " + facts["n_images"].dump() + " photos, " + facts["n_train"].dump() + " to train, " +
           facts["n_test"].dump() + " held out (" + capture.split_rule + ")");
+  if (const int n_masks = facts["n_masks"]; n_masks > 0) {
+    LogInfo(std::to_string(n_masks) + " photos have masks, which leave out " +
+            (capture.masks == Masks::kIgnore ? "pixels that do not count" : "the background"));
+  }
   for (const RejectedFile& file : capture.rejected) LogDetail("left out: " + file.name + " " + file.reason);
   if (!capture.rejected.empty()) {
     LogWarning(std::to_string(capture.rejected.size()) + " files are left out, the first: " +
@@ -306,7 +324,9 @@ Json ProbeCapture(const fs::path& capture) {
   CheckEnough(source, source.images.size(), source.rejected);
   std::vector<std::optional<Split>> given;
   bool has_alpha = false;
+  int n_masks = 0;
   for (const SourceImage& image : source.images) {
+    n_masks += image.mask.empty() ? 0 : 1;
     given.push_back(image.split);
     try {
       has_alpha = has_alpha || ProbeImage(source.root / image.path).channels == 4;
@@ -317,10 +337,15 @@ Json ProbeCapture(const fs::path& capture) {
   std::vector<Split> splits;
   const std::string rule = FreezeHoldOut(given, splits);
   const int n_test = CountTest(splits), n_images = static_cast<int>(splits.size());
-  return {{"kind", source.kind},          {"name", EscapePath(CaptureFolderName(source.root))},
-          {"n_images", n_images},         {"posed", source.model.has_value()},
-          {"split_rule", rule},           {"has_alpha", has_alpha},
-          {"n_train", n_images - n_test}, {"n_test", n_test}};
+  return {{"kind", source.kind},
+          {"name", EscapePath(CaptureFolderName(source.root))},
+          {"n_images", n_images},
+          {"posed", source.model.has_value()},
+          {"split_rule", rule},
+          {"has_alpha", has_alpha},
+          {"n_train", n_images - n_test},
+          {"n_test", n_test},
+          {"n_masks", n_masks}};
 }
 
 HashedPath CaptureInput(const fs::path& capture) {
@@ -328,10 +353,13 @@ HashedPath CaptureInput(const fs::path& capture) {
   return {EscapePath(path), HashTree(path), 0};
 }
 
-void Ingest(const fs::path& capture_path, int n_threads, ArtifactWriter& artifact) {
-  const Source source = RecogniseCapture(CapturePath(capture_path));
+void Ingest(const fs::path& capture_path, const IngestOptions& options, ArtifactWriter& artifact) {
+  Source source = RecogniseCapture(CapturePath(capture_path));
+  if (options.without_masks) {
+    for (SourceImage& image : source.images) image.mask.clear();
+  }
   LogInfo(EscapePath(source.root) + " is a capture of kind " + source.kind + ": " + source.evidence);
-  Capture capture = MakeCapture(source, MeasureAll(source, n_threads));
+  Capture capture = MakeCapture(source, options.masks, MeasureAll(source, options.n_threads));
   const int n_cameras = GroupCameras(capture.images);
   SaveCapture(capture, artifact.dir());
   artifact.AddOutput(kCaptureFile);

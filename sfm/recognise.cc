@@ -15,6 +15,7 @@
 #include "pipeline/files.h"
 #include "pipeline/photo_name.h"
 #include "sfm/colmap_source.h"
+#include "sfm/masks.h"
 #include "sfm/nsvf.h"
 #include "sfm/transforms_json.h"
 
@@ -58,8 +59,14 @@ Source ReadPhotoFolder(const fs::path& root) {
   source.kind = "photos";
   source.root = root;
   const std::vector<fs::path> files = ListFiles(root);
+  std::vector<fs::path> photos;
   for (const fs::path& file : files) {
-    if (HasPhotoExtension(file)) source.images.push_back({file.lexically_relative(root), {}});
+    if (HasPhotoExtension(file)) photos.push_back(file.lexically_relative(root));
+  }
+  // Where all photos lie in a folder of that name, it holds photos.
+  const bool has_masks = !std::all_of(photos.begin(), photos.end(), IsInMaskFolder);
+  for (const fs::path& photo : photos) {
+    if (!has_masks || !IsInMaskFolder(photo)) source.images.push_back({photo, {}});
   }
   RejectPassedOver(files, source);
   if (source.images.empty()) {
@@ -109,6 +116,7 @@ Source RecogniseCapture(const fs::path& root) {
   if (error) throw InputError(EscapePath(root) + ": cannot be listed (" + error.message() + "); check its permissions");
   Source source = ReadSource(root);
   SortAndRejectRepeated(source);
+  AttachMasks(source);
   return source;
 }
 

@@ -106,6 +106,8 @@ class Reconstruction {
                                      {"SiftExtraction.num_threads", Threads()},
                                      {"SiftExtraction.max_num_features", std::to_string(settings_.max_features)},
                                      {"SiftExtraction.first_octave", std::to_string(settings_.first_octave)}});
+      if (std::any_of(photos.begin(), photos.end(), [](const auto* photo) { return photo->info.channels == 4; }))
+        options.emplace_back("ImageReader.mask_path", MasksOfWorkingPhotos(photos_).native());
       if (settings_.peak_threshold > 0)
         options.emplace_back("SiftExtraction.peak_threshold", Number(settings_.peak_threshold));
       if (const auto id = CameraOf(database, camera)) {

@@ -15,8 +15,9 @@
 namespace nrff {
 
 struct SourceImage {
-  std::filesystem::path path;  // relative to Source::root
-  std::optional<Split> split;  // where the data set has one of its own
+  std::filesystem::path path;    // relative to Source::root
+  std::optional<Split> split;    // where the data set has one of its own
+  std::filesystem::path mask{};  // as path (masks.h); empty: none
 };
 
 struct Source {

@@ -294,6 +294,7 @@ TEST_F(IngestTest, ExecutableEndsWithTheDocumentedExitCodes) {
                                        {"posed", false},
                                        {"split_rule", "every 8th by file name"},
                                        {"has_alpha", false},
+                                       {"n_masks", 0},
                                        {"n_train", 2},
                                        {"n_test", 1}}));
 }

@@ -1,9 +1,12 @@
 // What training steps are tested on, whoever makes them.
 #pragma once
 
+#include <c10/core/GradMode.h>
+
 #include <ostream>
 
 #include "model/training_step.h"
+#include "render/kernels/random.h"
 
 namespace nrff {
 
@@ -24,6 +27,23 @@ inline StepCase With(const char* name, void (*change)(FieldConfig&)) {
   StepCase c{name, false, Activation::kGelu, {.orientation = 0.3, .density_l1 = 8e-5}};
   c.change = change;
   return c;
+}
+
+inline constexpr int kCorrectedViews = 6;
+inline StepCase ColourCorrections() {
+  StepCase c = With("ColourCorrections", [](FieldConfig& f) { f.corrected_views = kCorrectedViews; });
+  c.weights.correction = 0.02;
+  return c;
+}
+
+// Views with colours of their own, which start at none: corrections that make a difference, the same for every field.
+inline void SetCorrections(const NrffField& field) {
+  if (field.config().corrected_views == 0) return;
+  const c10::NoGradGuard no_grad;
+  const torch::Tensor& corrections = field.colour_corrections();
+  for (int64_t i = 0; i < corrections.numel(); ++i) {
+    corrections.view({-1})[i] = 0.3 * (Uniform(5, 1, uint64_t(i)) - 0.5F);
+  }
 }
 
 // Sizes that divide nothing.

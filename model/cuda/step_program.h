@@ -66,6 +66,7 @@ struct StepMemory {
     origins = arena.Take<float>(3 * room.rays);
     directions = arena.Take<float>(3 * room.rays);
     target = take_backward(float{}, 3 * room.rays);
+    view_of_ray = take_backward(int{}, room.rays);
     distance = take_backward(float{}, room.rays);
     spread = take_backward(float{}, room.rays);
     counts = arena.Take<int64_t>(room.rays);
@@ -129,6 +130,7 @@ struct StepMemory {
   float *origins, *directions, *target, *distance, *spread, *transmittance, *d_transmittance;
   float *colour, *depth, *normal, *opacity;  // of pictures
   int64_t *counts, *ray_offsets, *shaded_offsets, *n_reached;
+  int* view_of_ray;
   char* scratch;
   size_t scratch_bytes;
   // Per sample.
@@ -177,6 +179,7 @@ class StepProgram {
     n_depths_ = static_cast<int64_t>(scene.depths.size());
     views_ = Upload(scene.views.data(), n_views_);
     pixels_before_ = Upload(scene.pixels_before.data(), static_cast<int64_t>(scene.pixels_before.size()));
+    rows_before_ = Upload(scene.rows_before.data(), static_cast<int64_t>(scene.rows_before.size()));
     pack_ = Upload(scene.pack, static_cast<int64_t>(scene.pack_bytes));
     depths_ = Upload(scene.depths.data(), n_depths_);
     std::vector<Lobe<float>> lobes;
@@ -384,8 +387,8 @@ class StepProgram {
   void QueueRays() {
     StepMemory<Storage>& at = *memory_;
     ForEach("pixels", room_.rays, stream_,
-            DrawPixels{control_.data(), views_.data(), pixels_before_.data(), n_views_, pack_.data(), at.origins,
-                       at.directions, at.target});
+            DrawPixels{control_.data(), views_.data(), pixels_before_.data(), rows_before_.data(), n_views_,
+                       pack_.data(), at.origins, at.directions, at.target, at.view_of_ray});
     if (n_depths_ > 0) {
       ForEach("depths", room_.rays, stream_,
               DrawDepths{control_.data(), depths_.data(), static_cast<uint64_t>(n_depths_), at.origins, at.directions,
@@ -552,10 +555,12 @@ class StepProgram {
     zero(at.d_weights, room_.samples);
     zero(at.d_rgb, 3 * room_.shaded);
     zero(at.d_normals, 3 * room_.shaded);
+    const float* corrections = model_.corrected_views > 0 ? parameters_.data() + model_.corrections : nullptr;
     ForEach("composite", room_.rays, stream_,
             CompositeRays{control_.data(), at.shaded_offsets, at.shaded, at.weights, at.transmittance, at.target,
-                          at.rgb, at.shaded_directions, at.reflections, at.d_weights, at.d_transmittance, at.d_rgb,
-                          at.d_normals, result_.data()});
+                          at.rgb, at.shaded_directions, at.reflections, at.view_of_ray, corrections, at.d_weights,
+                          at.d_transmittance, at.d_rgb, at.d_normals, gradient_.data() + model_.corrections,
+                          result_.data()});
     if (n_depths_ > 0) {
       ForEach("match depths", room_.rays, stream_,
               MatchDepths{control_.data(), at.ray_offsets, at.t, at.weights, at.distance, at.spread, at.d_weights,
@@ -621,8 +626,9 @@ class StepProgram {
     l1.n_factors = static_cast<int>(density_factors_.size()) - 1;
     l1.begins = density_factors_.data();
     ForEach("Adam", parameters_.size(), stream_,
-            AdamProgram<Table>{control_.data(), result_.data(), adam_.data(), model_.n_grid, l1, gradient_.data(),
-                               parameters_.data(), m_.data(), v_.data(), tables_.data()});
+            AdamProgram<Table>{control_.data(), result_.data(), adam_.data(), model_.n_grid, model_.corrections,
+                               model_.corrected_views, l1, gradient_.data(), parameters_.data(), m_.data(), v_.data(),
+                               tables_.data()});
   }
 
   GpuModel model_;
@@ -644,6 +650,7 @@ class StepProgram {
   int64_t n_depths_ = 0;
   Buffer<GpuView> views_;
   Buffer<uint64_t> pixels_before_;
+  Buffer<uint32_t> rows_before_;
   Buffer<uint8_t> pack_;
   Buffer<DepthTarget> depths_;
   Buffer<Lobe<float>> lobes_;

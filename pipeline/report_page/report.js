@@ -39,6 +39,11 @@ function showTiles() {
   };
   add("PSNR", format.psnr(metrics.psnr), "dB", `mean of ${plural(metrics.n_images, "held-out view")}`, true);
   add("SSIM", format.ssim(metrics.ssim), "", "1 is identical", true);
+  const variants = facts.eval?.variants ?? {};
+  if (summary.decisions.some(({feature, needed}) => feature === "exposure_correction" && needed)) {
+    add("Colours fitted", format.psnr(variants.psnr_colour_fitted), "dB",
+      `PSNR of the right halves of held-out views, exposure and white balance fitted on the left ones; ${format.psnr(variants.psnr_right_half)} dB without`);
+  }
   if (isNumber(metrics.lpips)) add("LPIPS", format.fixed(metrics.lpips, 3), "", "0 is identical");
   const registered = split.registered, total = facts.ingest?.n_images;
   const heldOut = isNumber(split.registered_test) ? `${split.registered_test} of ${split.test} held out` : "";

@@ -1,0 +1,162 @@
+#!/usr/bin/env python3
+"""What each facility for real captures is worth: the same training without and with it, on captures that need it.
+
+    tests/bench/facilities.py DATA OUT [--only NAME…] [--seeds N…] [--steps N] [--work DIR]
+
+DATA holds photos/, scenes/ and colmap_models/ as tests/bench/captures.sh wants them; "none" leaves real captures out.
+Writes OUT.json and OUT.md. Poses are estimated once for each set of options that they depend on; training, rendering
+and scoring are done for every seed. Pose errors are against the truth of made captures. Needs the built programs in
+build/bin."""
+import argparse
+import datetime
+import json
+import os
+import pathlib
+import statistics
+import subprocess
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+BIN = ROOT / "build" / "bin"
+
+
+def make(arguments):
+    def into(folder, data):
+        if not (folder / "truth").exists():
+            subprocess.run([BIN / "make_capture", "--out", folder, "--quiet", *arguments], check=True)
+        return folder / "photos"
+    return into
+
+
+def real(path):
+    return lambda folder, data: data / path if data else None
+
+
+EXPOSURE = [("without", [], ["--exposure-correction", "off"]), ("with", [], ["--exposure-correction", "on"])]
+MASKS = [("without", ["--masks", "off"], []), ("with", ["--masks", "ignore"], [])]
+# name, facility, capture, and for each variant: its options of the run up to poses, and of training
+CASES = [
+    ("kermit", "exposure", real("photos/kermit"), EXPOSURE),
+    ("ET", "exposure", real("photos/ET"), EXPOSURE),
+    ("castle", "exposure", real("photos/sceaux_castle"), EXPOSURE),
+    ("fox", "exposure", real("scenes/fox/images"), EXPOSURE),
+    ("cup", "exposure", real("colmap_models/cup_simple_pinhole"), EXPOSURE),
+    ("maryrose", "exposure", real("photos/maryrose"), EXPOSURE),
+    ("drifting", "exposure", make(["--views", "32", "--exposure-drift", "2"]), EXPOSURE),
+    ("steady", "exposure", make(["--views", "32"]), EXPOSURE),
+    ("passers-by", "masks", make(["--views", "32", "--passers-by"]), MASKS),
+]
+
+
+def read(path):
+    with open(path) as file:
+        return json.load(file)
+
+
+def pose_error(workspace, truth):
+    """Median absolute errors after alignment, in the truth's units and degrees, or None without a truth."""
+    if not truth.exists():
+        return None
+    answer = subprocess.run([BIN / "nrff-pose", "compare", "--estimated", workspace, "--truth", truth, "--json",
+                             "--quiet"], check=True, capture_output=True, text=True).stdout
+    errors = json.loads(answer)
+    return {"position": errors["position"]["median"], "rotation_deg": errors["rotation_deg"]["median"]}
+
+
+def measure(case, args, work):
+    name, facility, capture, variants = case
+    folder = capture(work / "captures" / name, args.data)
+    if folder is None:
+        return None
+    result = {"name": name, "facility": facility, "variants": []}
+    for variant, before, training in variants:
+        workspace = work / name / "-".join(["poses", *before])
+        subprocess.run([BIN / "nrff", "run", folder, "-w", workspace, "--max-image-size", str(args.max_image_size),
+                        "--until", "pose", "--quiet", *before], check=True)
+        facts = {stage: read(workspace / stage / "manifest.json") for stage in ("ingest", "pose")}
+        row = {"variant": variant, "n_images": facts["ingest"]["facts"]["n_images"],
+               "n_registered": facts["pose"]["facts"]["n_views_train"] + facts["pose"]["facts"]["n_views_test"],
+               "exposure_spread_ev": facts["pose"]["facts"]["exposure_spread_ev"], "runs": []}
+        if (workspace / "sfm" / "manifest.json").exists():
+            row["seconds_sfm"] = read(workspace / "sfm" / "manifest.json")["seconds"]
+        row["pose_error"] = pose_error(workspace, folder.parent / "truth")
+        for seed in args.seeds:
+            out = work / name / f"{variant}-{seed}"
+            subprocess.run([BIN / "nrff-train", "--scene", workspace / "pose", "--out", out / "train", "--steps",
+                            str(args.steps), "--seed", str(seed), "--quiet", *training], check=True)
+            subprocess.run([BIN / "nrff-render", "--scene", workspace / "pose", "--model", out / "train", "--out",
+                            out / "render", "--quiet"], check=True)
+            subprocess.run([BIN / "nrff-eval", "--scene", workspace / "pose", "--renders", out / "render", "--out",
+                            out / "eval", "--lpips", "none", "--quiet"], check=True)
+            metrics, train = read(out / "eval" / "metrics.json")["metrics"], read(out / "train" / "manifest.json")
+            row["runs"].append({"seed": seed, "psnr": metrics["psnr"], "ssim": metrics["ssim"],
+                                **metrics["variants"], "train_psnr": train["facts"]["train_psnr"],
+                                "seconds_training": train["facts"]["seconds_training"]})
+        result["variants"].append(row)
+        print(name, variant, " ".join(f"{run['psnr']:.2f}" for run in row["runs"]), flush=True)
+    return result
+
+
+def mean(row, key):
+    values = [run[key] for run in row["runs"] if run.get(key) is not None]
+    return statistics.mean(values) if values else None
+
+
+def number(value, digits=2):
+    return "–" if value is None else f"{value:.{digits}f}"
+
+
+def markdown(results, args, machine):
+    lines = ["# What facilities for real captures are worth", "",
+             f"Made by `tests/bench/facilities.py` on {datetime.date.today()} on {machine}: {args.steps} steps of the "
+             f"preset small, photos of at most {args.max_image_size} px; means of seeds {', '.join(map(str, args.seeds))}"
+             " of training, poses estimated once. PSNR of held-out views as they are (of masked ones: the pixels that"
+             " count; whole image beside it), of their right halves, and of these with colours fitted on the left halves."
+             " Pose errors: median after alignment to the truth.", ""]
+    for facility in dict.fromkeys(result["facility"] for result in results):
+        lines += [f"## {facility}", "",
+                  "| capture | | registered | SfM, s | pose error | PSNR, dB | whole | right half | colours fitted | SSIM | training views | training, s |",
+                  "|---|---|---|---:|---|---:|---:|---:|---:|---:|---:|---:|"]
+        for result in results:
+            if result["facility"] != facility:
+                continue
+            for row in result["variants"]:
+                error = row["pose_error"]
+                error = f"{error['position']:.4f}, {error['rotation_deg']:.3f}°" if error else "–"
+                spread = f" ({row['exposure_spread_ev']:.2f} EV)" if facility == "exposure" else ""
+                lines.append(
+                    f"| {result['name']}{spread} | {row['variant']} | {row['n_registered']} of {row['n_images']} | "
+                    f"{number(row.get('seconds_sfm'), 0)} | {error} | {number(mean(row, 'psnr'))} | "
+                    f"{number(mean(row, 'psnr_whole'))} | {number(mean(row, 'psnr_right_half'))} | "
+                    f"{number(mean(row, 'psnr_colour_fitted'))} | {number(mean(row, 'ssim'), 4)} | "
+                    f"{number(mean(row, 'train_psnr'))} | {number(mean(row, 'seconds_training'), 0)} |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("data", type=lambda text: None if text == "none" else pathlib.Path(text))
+    parser.add_argument("out", type=pathlib.Path)
+    parser.add_argument("--only", nargs="+", default=[])
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
+    parser.add_argument("--steps", type=int, default=1500)
+    parser.add_argument("--max-image-size", type=int, default=400)
+    parser.add_argument("--work", type=pathlib.Path, default=pathlib.Path("facilities-work"))
+    args = parser.parse_args()
+    with open("/proc/cpuinfo") as file:
+        model = next(line.split(":")[1].strip() for line in file if line.startswith("model name"))
+    machine = f"{model}, {os.cpu_count()} cores"
+    results = []
+    for case in CASES:
+        if not args.only or case[0] in args.only:
+            result = measure(case, args, args.work.resolve())
+            if result:
+                results.append(result)
+    args.out.with_suffix(".json").write_text(json.dumps(
+        {"date": str(datetime.date.today()), "machine": machine, "steps": args.steps, "seeds": args.seeds,
+         "max_image_size": args.max_image_size, "results": results}, indent=1) + "\n")
+    args.out.with_suffix(".md").write_text(markdown(results, args, machine))
+
+
+if __name__ == "__main__":
+    main()
