@@ -44,6 +44,9 @@ function showTiles() {
     add("Colours fitted", format.psnr(variants.psnr_colour_fitted), "dB",
       `PSNR of the right halves of held-out views, exposure and white balance fitted on the left ones; ${format.psnr(variants.psnr_right_half)} dB without`);
   }
+  if (isNumber(variants.psnr_whole)) {
+    add("Whole images", format.psnr(variants.psnr_whole), "dB", "PSNR with the pixels that masks leave out of the other figures");
+  }
   if (isNumber(metrics.lpips)) add("LPIPS", format.fixed(metrics.lpips, 3), "", "0 is identical");
   const registered = split.registered, total = facts.ingest?.n_images;
   const heldOut = isNumber(split.registered_test) ? `${split.registered_test} of ${split.test} held out` : "";
