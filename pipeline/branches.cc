@@ -53,6 +53,8 @@ std::string CheckSettings(const std::string& text) {
 
 std::string CheckImageSize(const std::string& text) { return CheckRange(text, kLeastMaxImageSize, kMostMaxImageSize); }
 
+std::string CheckFrames(const std::string& text) { return CheckRange(text, 3, 2000); }
+
 std::string CheckBitDepth(const std::string& text) {
   return text == "8" || text == "16" ? "" : "'" + text + "' is no bit depth; give 8 or 16";
 }
@@ -90,6 +92,7 @@ Params GivenOptions(const BranchOptions& options) {
   add("steps", options.steps);
   add("seed", options.seed);
   add("device", options.device);
+  add("frames", options.frames);
   add("masks", options.masks);
   add("max-image-size", options.max_image_size);
   add("bit-depth", options.bit_depth);
@@ -131,7 +134,7 @@ fs::path Folder(const std::string& given) {
 }  // namespace
 
 void AddTargetOption(CLI::App& command, BranchOptions& options) {
-  command.add_option("CAPTURE", options.targets, "Folder of photos, posed capture, or a workspace")
+  command.add_option("CAPTURE", options.targets, "Folder of photos, video, posed capture, or a workspace")
       ->required()
       ->type_name("");
 }
@@ -153,6 +156,7 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options) {
   budget->check(
       [](const std::string& text) { return std::string(text.empty() ? "give a time, as 90s, 10m, 1h" : ""); });
   add("--steps", options.steps, "N", "Training steps; not with --budget")->check(CheckPositive)->excludes(budget);
+  add("--frames", options.frames, "N", "Of each video (default: as its picture moves)")->check(CheckFrames);
   add("--masks", options.masks, "WHAT", "What masks leave out: ignore (default), background; off")
       ->check(CLI::IsMember({"ignore", "background", "off"}));
   add("--max-image-size", options.max_image_size, "PX",

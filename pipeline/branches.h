@@ -16,7 +16,7 @@ namespace nrff {
 // The options of `nrff run` and `nrff plan` that say what is to be made.
 struct BranchOptions {
   std::vector<std::string> targets;  // captures or workspaces
-  std::string workspace, budget, preset, set, directional, steps, masks, max_image_size, bit_depth, lpips, device,
+  std::string workspace, budget, preset, set, directional, steps, frames, masks, max_image_size, bit_depth, lpips, device,
       threads, seed, from;
   std::string until;
   std::vector<std::string> need, leave_out;  // features whose decision is forced
