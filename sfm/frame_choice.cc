@@ -72,7 +72,7 @@ std::vector<FrameVerdict> ChooseFrames(const std::vector<FrameMeasure>& frames, 
         frames[i].motion < kStandingStill || (i + 1 < frames.size() && frames[i + 1].motion < kStandingStill);
     if (kept[nearest] == i) {
       verdicts[i] = sharp[nearest] ? FrameVerdict::kKept : FrameVerdict::kBlurred;
-    } else if (frames[i].sharpness < kBlurred * frames[kept[nearest]].sharpness) {
+    } else if (!sharp[nearest] || frames[i].sharpness < kBlurred * frames[kept[nearest]].sharpness) {
       verdicts[i] = FrameVerdict::kBlurred;
     } else if (still && i > 0) {
       verdicts[i] = FrameVerdict::kRepeated;

@@ -137,7 +137,8 @@ class VideoTest : public IngestTest {
 };
 
 TEST_F(VideoTest, FramesBecomePhotosOfOneCameraInTheirOrder) {
-  WriteVideo("a clip's.mp4", Steadily(60));
+  WriteVideo("a.mp4", Steadily(60));
+  fs::rename(root_ / "a.mp4", root_ / "a clip's\n\xff.mp4");
   const Capture capture = RunIngest({.masks = {}, .without_masks = false, .frames = 10, .n_threads = 1});
   ASSERT_EQ(capture.images.size(), 10u);
   EXPECT_TRUE(capture.ordered);
@@ -146,7 +147,7 @@ TEST_F(VideoTest, FramesBecomePhotosOfOneCameraInTheirOrder) {
   EXPECT_EQ(manifest_.facts["n_frames"], 60);
   EXPECT_EQ(manifest_.facts["n_frames_kept"], 10);
   EXPECT_EQ(capture.images[0].split, Split::kTest);
-  EXPECT_EQ(capture.images[0].path.parent_path(), "frames/a_clip_s");
+  EXPECT_EQ(capture.images[0].path.parent_path(), "frames/a_clip_s__");
   const Image first = ReadCapturedPhoto(capture, capture.images[0]);
   EXPECT_EQ(first.width, 320);
   const Json videos = ReadJson(work_.path() / "ingest" / kVideosFile);
@@ -208,8 +209,8 @@ TEST_F(VideoTest, SeveralVideosAndPhotosAreOneCapture) {
   EXPECT_EQ(manifest_.facts["n_cameras"], 3);
   EXPECT_TRUE(capture.rejected.empty());
   EXPECT_FALSE(capture.ordered);
-  EXPECT_EQ(fs::path(capture.images.front().path).parent_path(), "frames/a");
-  EXPECT_EQ(fs::path(capture.images[8].path).parent_path(), "frames/a-2");
+  EXPECT_EQ(capture.images[0].path.parent_path(), "frames/a-2");  // the order of bytes
+  EXPECT_EQ(capture.images[8].path.parent_path(), "frames/a");
 }
 
 TEST_F(VideoTest, WhatCannotBeDecodedIsNamedAndTheRestIsUsed) {
