@@ -30,7 +30,7 @@ std::string CheckStage(const std::string& text) {
 struct Forceable {
   const char *feature, *stage, *option, *needed, *left_out;
 };
-constexpr Forceable kForceable[] = {{"exhaustive_matching", "sfm", "matching", "exhaustive", "sequential"},
+constexpr Forceable kForceable[] = {{"exhaustive_matching", "sfm", "matching", "exhaustive", "selective"},
                                     {"undistortion", "pose", "undistortion", "on", "off"},
                                     {"contraction", "pose", "contraction", "on", "off"},
                                     {"sparse_depth", "train", "sparse-depth", "on", "off"},

@@ -11,6 +11,7 @@
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "pipeline/progress.h"
+#include "sfm/first_look.h"
 #include "sfm/working_photos.h"
 
 namespace nrff {
@@ -143,18 +144,18 @@ class Reconstruction {
   // In batches, so that progress shows and an interruption costs little.
   void MatchPairs(Attempt& attempt) {
     const auto start = Clock::now();
-    const std::vector<ImagePair> pairs = ChoosePairs(int(capture_.images.size()), settings_);
-    attempt.n_pairs = pairs.size();
     const ColmapDatabase before = ReadColmapDatabase(database_);
     CheckExtracted(before);
-    std::map<std::string, uint32_t> ids;
-    for (const auto& [id, image] : before.images) ids[image.name] = id;
+    const std::vector<uint32_t> ids = ImageIds(before);
+    const ImagePairs pairs = ChoosePairs(ids);
+    attempt.n_pairs = pairs.size();
     std::vector<std::string> pending;
-    for (const auto& [first, second] : pairs) {
-      const std::string a = WorkingPhotoName(capture_.images[size_t(first)]),
-                        b = WorkingPhotoName(capture_.images[size_t(second)]);
-      if (before.verified_matches.count(std::minmax({ids.at(a), ids.at(b)}))) continue;
-      pending.emplace_back(a).append(" ").append(b).append("\n");
+    for (const auto& [a, b] : pairs) {
+      if (before.verified_matches.count(std::minmax({ids[size_t(a)], ids[size_t(b)]}))) continue;
+      pending.emplace_back(WorkingPhotoName(capture_.images[size_t(a)]))
+          .append(" ")
+          .append(WorkingPhotoName(capture_.images[size_t(b)]))
+          .append("\n");
     }
     const size_t batch = std::clamp<size_t>(pairs.size() / 20, 20, 400);
     Progress progress("matching", double(pairs.size()), "pairs");
@@ -177,6 +178,24 @@ class Reconstruction {
     progress.Done();
     attempt.database = ReadColmapDatabase(database_);
     attempt.seconds_matching = SecondsSince(start);
+  }
+
+  // COLMAP's, of the capture's photos.
+  std::vector<uint32_t> ImageIds(const ColmapDatabase& database) const {
+    std::map<std::string, uint32_t> by_name;
+    for (const auto& [id, image] : database.images) by_name[image.name] = id;
+    std::vector<uint32_t> ids;
+    ids.reserve(capture_.images.size());
+    for (const CaptureImage& photo : capture_.images) ids.push_back(by_name.at(WorkingPhotoName(photo)));
+    return ids;
+  }
+
+  ImagePairs ChoosePairs(const std::vector<uint32_t>& ids) const {
+    const int n_images = int(ids.size());
+    if (settings_.exhaustive) return AllPairs(n_images);
+    const auto descriptors_of = [&](size_t i) { return ReadFeatureDescriptors(database_, ids[i]); };
+    const ImagePairs similar = MostSimilarPairs(PhotoSimilarities(ids.size(), descriptors_of), settings_.n_neighbours);
+    return capture_.ordered ? Union(similar, SequentialPairs(n_images, settings_.n_next)) : similar;
   }
 
   void CheckExtracted(const ColmapDatabase& database) const {
@@ -240,10 +259,6 @@ class Reconstruction {
 };
 
 }  // namespace
-
-std::vector<ImagePair> ChoosePairs(int n_images, const SfmSettings& settings) {
-  return settings.exhaustive ? AllPairs(n_images) : SequentialPairs(n_images, settings.n_neighbours);
-}
 
 Attempt Reconstruct(const Capture& capture, const SfmSettings& settings, Colmap& colmap, const fs::path& dir,
                     const ArtifactWriter& artifact) {

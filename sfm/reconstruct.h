@@ -25,7 +25,8 @@ struct SfmSettings {
   int first_octave = 0;           // −1: features are searched in the photo doubled in size, too
   double peak_threshold = 0;      // of features' contrast; 0: COLMAP's default
   bool exhaustive = false;        // all pairs
-  int n_neighbours = 6;           // otherwise: each photo with this many next ones, and with some further on
+  int n_neighbours = 10;          // otherwise: each photo with this many most similar ones (first_look.h)
+  int n_next = 3;                 // and, in a capture in the order of taking, with this many next ones
   bool tolerant_mapping = false;  // place photos by fewer matches and smaller parallax
   uint64_t seed = 0;
   int n_threads = 1;
@@ -38,8 +39,6 @@ struct Attempt {
   size_t n_pairs = 0;
   double seconds_features = 0, seconds_matching = 0, seconds_mapping = 0;
 };
-
-std::vector<ImagePair> ChoosePairs(int n_images, const SfmSettings& settings);
 
 // Throws what Colmap throws; a mapper that finds no model is no failure.
 Attempt Reconstruct(const Capture& capture, const SfmSettings& settings, Colmap& colmap,

@@ -62,7 +62,7 @@ TEST_F(DriverTest, ForcedDecisionsGoToTheStagesThatMakeThem) {
   const ProgramResult forced =
       RunFox({"--need", "undistortion", "--leave-out", "sparse_depth", "--leave-out", "exhaustive_matching"});
   EXPECT_EQ(forced.exit_code, 0) << forced.err;
-  EXPECT_EQ(ReadManifest(root_ / "work/sfm")->params, (Params{{"matching", "sequential"}}));
+  EXPECT_EQ(ReadManifest(root_ / "work/sfm")->params, (Params{{"matching", "selective"}}));
   EXPECT_EQ(ReadManifest(root_ / "work/pose")->params, (Params{{"undistortion", "on"}}));
   EXPECT_EQ(ReadManifest(root_ / "work/train")->params, (Params{{"sparse-depth", "off"}}));
   const ProgramResult before = Nrff({"plan", "--need", "contraction", "--leave-out", "undistortion", Path("fox")});

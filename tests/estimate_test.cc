@@ -6,7 +6,6 @@
 #include <sqlite3.h>
 
 #include <algorithm>
-#include <cmath>
 #include <cstdlib>
 
 #include "pipeline/process.h"
@@ -75,17 +74,19 @@ class Estimate : public ::testing::Test {
 
   void Script(const std::string& command, const std::string& text) { WriteFileAtomically(fake_ / command, text); }
 
-  // COLMAP's tables with all photos, 1000 features each, all pairs with `n_matches` verified matches.
-  void MakeDatabase(int n_matches) {
+  // COLMAP's tables with all photos, `n_keypoints` features each, all pairs with `n_matches` verified matches.
+  void MakeDatabase(int n_matches, int n_keypoints = 2000) {
     fs::remove(fake_ / "database.db");
     std::string sql =
         "CREATE TABLE images (image_id INTEGER PRIMARY KEY, name TEXT, camera_id INTEGER);"
         "CREATE TABLE keypoints (image_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
+        "CREATE TABLE descriptors (image_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
         "CREATE TABLE two_view_geometries (pair_id INTEGER PRIMARY KEY, rows INTEGER);";
     for (size_t i = 0; i < capture_.images.size(); ++i) {
       const std::string id = std::to_string(i + 1);
       sql += "INSERT INTO images VALUES (" + id + ", '" + WorkingPhotoName(capture_.images[i]) + "', 1);";
-      sql += "INSERT INTO keypoints VALUES (" + id + ", 1000, 6, NULL);";
+      sql += "INSERT INTO keypoints VALUES (" + id + ", " + std::to_string(n_keypoints) + ", 6, NULL);";
+      sql += "INSERT INTO descriptors VALUES (" + id + ", 2, 128, zeroblob(256));";
     }
     for (const auto& [a, b] : AllPairs(8)) {
       sql += "INSERT INTO two_view_geometries VALUES (" + std::to_string(2147483647LL * (a + 1) + b + 1) + ", " +
@@ -243,7 +244,7 @@ TEST_F(Estimate, MatchingCanBeForcedOnTheCommandLine) {
   SaveCapture(capture_, ingest.dir());
   ingest.AddOutput(kCaptureFile);
   ingest.Commit();
-  for (const std::string matching : {"sequential", "exhaustive"}) {
+  for (const std::string matching : {"selective", "exhaustive"}) {
     ProcessOptions process;
     process.command = {std::string(NRFF_BIN_DIR) + "/nrff-pose",
                        "estimate",
@@ -260,21 +261,6 @@ TEST_F(Estimate, MatchingCanBeForcedOnTheCommandLine) {
     EXPECT_EQ(manifest.params, (Params{{"matching", matching}}));
     EXPECT_EQ(manifest.decisions.at(0).reason, "forced by an option");
   }
-}
-
-TEST(ImagePairs, SequentialPairsHoldNeighboursAndGrowSlowly) {
-  for (const int n : {2, 3, 50, 500}) {
-    const std::vector<ImagePair> pairs = SequentialPairs(n, 6);
-    for (int distance = 1; distance <= std::min(6, n - 1); ++distance) {
-      for (int i = 0; i + distance < n; ++i) {
-        EXPECT_TRUE(std::binary_search(pairs.begin(), pairs.end(), ImagePair(i, i + distance)));
-      }
-    }
-    EXPECT_EQ(std::adjacent_find(pairs.begin(), pairs.end()), pairs.end());
-    EXPECT_LE(double(pairs.size()), n * (8 + 4 * std::log2(n)));
-    for (const auto& [a, b] : pairs) EXPECT_TRUE(0 <= a && a < b && b < n);
-  }
-  EXPECT_EQ(AllPairs(11).size(), 55u);
 }
 
 TEST(EstimateWithColmap, ARealCaptureRegisters) {
