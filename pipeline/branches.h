@@ -30,7 +30,7 @@ void AddTargetOption(CLI::App& command, BranchOptions& options);
 void AddBranchOptions(CLI::App& command, BranchOptions& options);
 // A line for the foot of their help.
 inline constexpr char kFeaturesHelp[] =
-    "FEATURE: exhaustive_matching undistortion contraction sparse_depth fine_levels exposure_correction\n";
+    "FEATURE: exhaustive_matching undistortion contraction sparse_depth\n  fine_levels exposure_correction\n";
 
 // One request per target. A target that is a workspace stands for its capture with the options of its last run, where
 // none are given now. Nothing is written. Throws UsageError, InputError.

@@ -61,7 +61,7 @@ Decision SparseDepth(size_t n_depths, bool unbounded);
 
 // Colour corrections of training views are left out where exposure and white balance hardly differ between them
 // (`spread_ev`: ExposureSpread of scene.h), and in bounded scenes, where an object that was turned before its light
-// looks as if exposures differed. Measured (tests/bench/results/exposure.md): they gain kermit, at 0.14 EV, and ET, at
+// looks as if exposures differed. Measured (tests/bench/results/facilities.md): they gain kermit, at 0.14 EV, and ET, at
 // 0.49 EV, more than 1 dB of held-out PSNR, cup 0.4 at 0.28 EV, and cost maryrose, on its turntable, 0.1 at 0.31 EV.
 Decision ExposureCorrection(double spread_ev, bool unbounded);
 
