@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <limits>
 #include <optional>
 
 namespace nrff {
@@ -48,14 +49,36 @@ std::vector<FrameVerdict> ChooseFrames(const std::vector<FrameMeasure>& frames, 
     std::optional<size_t>& of_stretch = best[size_t(stretch_of(i))];
     if (!of_stretch || score(i) > score(*of_stretch)) of_stretch = i;
   }
+  const double least_gap = std::max(0.3 * stretch, kStandingStill);
   std::vector<size_t> kept;
   for (const std::optional<size_t>& frame : best) {
     if (!frame) continue;  // passed over by a fast motion
-    if (kept.empty() || position[*frame] - position[kept.back()] >= std::max(0.3 * stretch, kStandingStill)) {
+    if (kept.empty() || position[*frame] - position[kept.back()] >= least_gap) {
       kept.push_back(*frame);
     } else if (frames[*frame].sharpness > frames[kept.back()].sharpness) {
       kept.back() = *frame;
     }
+  }
+  // A motion by leaps leaves stretches without a frame: others give a second one.
+  while (int(kept.size()) < n) {
+    std::optional<size_t> next;
+    double most = 0;
+    for (size_t i = 0; i < frames.size(); ++i) {
+      const auto after = std::lower_bound(kept.begin(), kept.end(), i);
+      double gap = std::numeric_limits<double>::infinity(), sharpness = 0;
+      for (const auto neighbour : {after, after == kept.begin() ? kept.end() : after - 1}) {
+        if (neighbour == kept.end()) continue;
+        gap = std::min(gap, std::abs(position[*neighbour] - position[i]));
+        sharpness = std::max(sharpness, frames[*neighbour].sharpness);
+      }
+      const double worth = std::min(gap, stretch) * frames[i].sharpness;
+      if (gap >= least_gap && frames[i].sharpness >= kBlurred * sharpness && worth > most) {
+        most = worth;
+        next = i;
+      }
+    }
+    if (!next) break;
+    kept.insert(std::lower_bound(kept.begin(), kept.end(), *next), *next);
   }
   std::vector<bool> sharp(kept.size());
   for (size_t i = 0; i < kept.size(); ++i) {

@@ -21,9 +21,10 @@ inline constexpr int kFewestFrames = 24, kMostFrames = 200;
 
 // The motion of the whole video is cut into equal stretches, `n_wanted` of them (0: one per kMotionPerFrame, within
 // kFewestFrames and kMostFrames), and of each the sharpest frame is kept, those near its middle before others. Not
-// kept: a frame that shows the same as the kept one before it; one that is blurred against the kept ones around it. Of
-// those that are not kept, the verdict says why: repeated (the picture stands still between it and a neighbour),
-// blurred (less than kBlurred of the sharpness of the frame kept in its place), or near a kept frame.
+// kept: a frame that shows the same as the kept one before it; one that is blurred against the kept ones around it.
+// Where stretches have no frame, since the picture leapt, others give a second one. Of those that are not kept, the
+// verdict says why: repeated (the picture stands still between it and a neighbour), blurred (less than kBlurred of the
+// sharpness of the frame kept in its place), or near a kept frame.
 std::vector<FrameVerdict> ChooseFrames(const std::vector<FrameMeasure>& frames, int n_wanted);
 
 }  // namespace nrff

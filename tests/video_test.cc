@@ -58,6 +58,16 @@ TEST(ChooseFrames, WhatStandsStillIsKeptOnce) {
   EXPECT_EQ(Kept(ChooseFrames(std::vector<FrameMeasure>(50, {1, 0}), 0)).size(), 1u);
 }
 
+TEST(ChooseFrames, AMotionByLeapsHasAsManyAsAreWanted) {
+  std::vector<FrameMeasure> frames;
+  for (int i = 0; i < 40; ++i) {  // still between leaps, every fourth of them four times as far
+    for (int k = 0; k < 4; ++k) frames.push_back({k == 2 ? 1. : 0.9, k > 0 ? 0 : i % 4 == 0 ? 0.4 : 0.1});
+  }
+  const std::vector<int> kept = Kept(ChooseFrames(frames, 40));
+  ASSERT_EQ(kept.size(), 40u);
+  for (int i = 0; i < 40; ++i) EXPECT_EQ(kept[size_t(i)] / 4, i);
+}
+
 TEST(ChooseFrames, AStretchThatIsBlurredAltogetherIsLeftOut) {
   std::vector<FrameMeasure> frames(100, {1, 0.01});
   for (size_t i = 40; i < 60; ++i) frames[i].sharpness = 0.2;

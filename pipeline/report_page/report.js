@@ -128,7 +128,7 @@ function showSpace(viewer) {
     "Drag to turn, pinch or use the buttons to zoom, click a held-out camera to see its view.", legend, makeSpace(geometry, choose));
 }
 
-const VERDICTS = {kept: "kept", repeated: "shows the same as a neighbour", blurred: "blurred", near: "near a kept frame"};
+const VERDICTS = {kept: "kept", repeated: "the same as a neighbour", blurred: "blurred", near: "near a kept frame"};
 
 function showVideos() {
   if (!videos || videos.length === 0) return;
