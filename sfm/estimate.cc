@@ -53,15 +53,8 @@ SfmSettings Settings(int level, bool exhaustive, uint64_t seed, int n_threads) {
   return settings;
 }
 
-const ColmapModel* Largest(const std::vector<ColmapModel>& models) {
-  const auto size = [](const ColmapModel& m) { return std::pair(m.images.size(), m.points.size()); };
-  const auto largest =
-      std::max_element(models.begin(), models.end(), [&](const auto& a, const auto& b) { return size(a) < size(b); });
-  return largest == models.end() ? nullptr : &*largest;
-}
-
 size_t NumRegistered(const Attempt& attempt) {
-  const ColmapModel* largest = Largest(attempt.models);
+  const ColmapModel* largest = LargestModel(attempt.models);
   return largest ? largest->images.size() : 0;
 }
 
@@ -70,6 +63,7 @@ Json AttemptFacts(const Attempt& attempt) {
   return {{"settings", s.name},
           {"max_image_size", s.max_image_size},
           {"max_features", s.max_features},
+          {"peak_threshold", s.peak_threshold},
           {"matching", s.exhaustive ? "exhaustive" : "selective"},
           {"n_pairs", attempt.n_pairs},
           {"n_registered", NumRegistered(attempt)},
@@ -179,7 +173,7 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
     if (level == first_level) LogWarning("too few: trying again with larger photos and more features");
   }
 
-  const ColmapModel* largest = Largest(attempts[best].models);
+  const ColmapModel* largest = LargestModel(attempts[best].models);
   const size_t n_registered = NumRegistered(attempts[best]);
   if (n_registered < size_t(kFewestImages) || double(n_registered) < kFewest * n_images) {
     throw InputError(DiagnoseRegistration(capture, attempts.back().database, largest));

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <iterator>
-#include <limits>
 #include <numeric>
 
 namespace nrff {
@@ -35,6 +34,15 @@ ImagePairs MaximumSpanningTree(const Eigen::MatrixXf& similarity) {
   return tree;
 }
 
+// Photo i with the `n` of `others`, itself left out, that it is most like; the earlier of equals.
+void AddMostSimilar(const Eigen::MatrixXf& similarity, int i, std::vector<int> others, int n, ImagePairs& pairs) {
+  std::erase(others, i);
+  const auto end = others.begin() + std::min<std::ptrdiff_t>(n, std::ssize(others));
+  std::partial_sort(others.begin(), end, others.end(),
+                    [&](int a, int b) { return std::pair(-similarity(a, i), a) < std::pair(-similarity(b, i), b); });
+  for (auto other = others.begin(); other != end; ++other) pairs.emplace_back(std::minmax(i, *other));
+}
+
 }  // namespace
 
 ImagePairs AllPairs(int n_images) { return SequentialPairs(n_images, n_images); }
@@ -50,15 +58,21 @@ ImagePairs SequentialPairs(int n_images, int n_neighbours) {
 ImagePairs MostSimilarPairs(const Eigen::MatrixXf& similarity, int n_neighbours) {
   const int n = int(similarity.rows());
   ImagePairs pairs = MaximumSpanningTree(similarity);
-  std::vector<int> others(static_cast<size_t>(n));
-  for (int i = 0; i < n; ++i) {
-    std::iota(others.begin(), others.end(), 0);
-    others.erase(others.begin() + i);
-    const auto end = others.begin() + std::min(n_neighbours, n - 1);
-    std::partial_sort(others.begin(), end, others.end(),
-                      [&](int a, int b) { return std::pair(-similarity(a, i), a) < std::pair(-similarity(b, i), b); });
-    for (auto other = others.begin(); other != end; ++other) pairs.emplace_back(std::minmax(i, *other));
-    others.resize(size_t(n));
+  std::vector<int> all(static_cast<size_t>(n));
+  std::iota(all.begin(), all.end(), 0);
+  for (int i = 0; i < n; ++i) AddMostSimilar(similarity, i, all, n_neighbours, pairs);
+  SortOnce(pairs);
+  return pairs;
+}
+
+ImagePairs BridgingPairs(const Eigen::MatrixXf& similarity, const std::vector<bool>& in_group, int n_neighbours) {
+  std::vector<int> group;
+  for (size_t i = 0; i < in_group.size(); ++i) {
+    if (in_group[i]) group.push_back(int(i));
+  }
+  ImagePairs pairs;
+  for (size_t i = 0; i < in_group.size(); ++i) {
+    if (!in_group[i]) AddMostSimilar(similarity, int(i), group, n_neighbours, pairs);
   }
   SortOnce(pairs);
   return pairs;
@@ -68,6 +82,12 @@ ImagePairs Union(const ImagePairs& a, const ImagePairs& b) {
   ImagePairs both;
   std::set_union(a.begin(), a.end(), b.begin(), b.end(), std::back_inserter(both));
   return both;
+}
+
+ImagePairs Difference(const ImagePairs& a, const ImagePairs& b) {
+  ImagePairs rest;
+  std::set_difference(a.begin(), a.end(), b.begin(), b.end(), std::back_inserter(rest));
+  return rest;
 }
 
 }  // namespace nrff

@@ -20,6 +20,10 @@ ImagePairs SequentialPairs(int n_images, int n_neighbours);
 // falling apart into groups (a maximum spanning tree): at most n (n_neighbours + 1). `similarity`: n × n, symmetric.
 ImagePairs MostSimilarPairs(const Eigen::MatrixXf& similarity, int n_neighbours);
 
+// Each photo outside of a group with the `n_neighbours` of the group that it is most like.
+ImagePairs BridgingPairs(const Eigen::MatrixXf& similarity, const std::vector<bool>& in_group, int n_neighbours);
+
 ImagePairs Union(const ImagePairs& a, const ImagePairs& b);
+ImagePairs Difference(const ImagePairs& a, const ImagePairs& b);  // those of `a` that are not in `b`
 
 }  // namespace nrff

@@ -142,9 +142,23 @@ TEST(ImagePairs, GroupsOfPhotosThatAreAlikeStayConnectedByTheirMostSimilarOnes) 
   EXPECT_TRUE(Contains(pairs, 10, 11));
 }
 
+TEST(ImagePairs, BridgesLeadFromEachPhotoOutsideToThoseInsideThatItIsMostLike) {
+  Eigen::MatrixXf similarity = Eigen::MatrixXf::Zero(6, 6);
+  const auto set = [&](int a, int b, float value) { similarity(a, b) = similarity(b, a) = value; };
+  set(0, 1, 0.9f);  // both outside
+  set(0, 3, 0.2f);
+  set(0, 5, 0.3f);
+  set(1, 2, 0.5f);
+  set(1, 4, 0.4f);
+  const ImagePairs bridges = BridgingPairs(similarity, {false, false, true, true, true, true}, 2);
+  EXPECT_EQ(bridges, (ImagePairs{{0, 3}, {0, 5}, {1, 2}, {1, 4}}));
+  EXPECT_EQ(Difference(bridges, {{0, 3}, {1, 4}}), (ImagePairs{{0, 5}, {1, 2}}));
+  EXPECT_TRUE(BridgingPairs(similarity, std::vector<bool>(6, true), 2).empty());
+}
+
 TEST(ImagePairs, SequentialPairsAreTheNextOnes) {
-  EXPECT_THAT(SequentialPairs(4, 2),
-              ::testing::ElementsAre(ImagePair(0, 1), ImagePair(0, 2), ImagePair(1, 2), ImagePair(1, 3), ImagePair(2, 3)));
+  EXPECT_THAT(SequentialPairs(4, 2), ::testing::ElementsAre(ImagePair(0, 1), ImagePair(0, 2), ImagePair(1, 2),
+                                                            ImagePair(1, 3), ImagePair(2, 3)));
   EXPECT_EQ(AllPairs(11).size(), 55u);
   EXPECT_EQ(Union({{0, 1}, {2, 3}}, {{0, 2}, {2, 3}}), (ImagePairs{{0, 1}, {0, 2}, {2, 3}}));
 }
