@@ -241,7 +241,10 @@ class Reconstruction {
     artifact_.SaveSeconds();
     const std::vector<uint32_t> ids = ImageIds(attempt.database);
     const bool any_holds = std::any_of(bridges.begin(), bridges.end(), [&](const ImagePair& pair) {
-      return attempt.database.verified_matches.at(std::minmax({ids[size_t(pair.first)], ids[size_t(pair.second)]})) > 0;
+      const auto matches =
+          attempt.database.verified_matches.find(std::minmax({ids[size_t(pair.first)], ids[size_t(pair.second)]}));
+      return matches != attempt.database.verified_matches.end() &&
+             matches->second > 0;  // none of photos without features
     });
     if (!any_holds) return;
     std::vector<ColmapModel> joined = Map("joined", attempt);
