@@ -70,15 +70,16 @@ Decision Contraction(bool box_given, bool has_alpha, std::optional<double> backg
   return decision;
 }
 
-Decision ExhaustiveMatching(int n_images, bool ordered) {
-  // 32 images have 496 pairs, about what sequential matching with an overlap of ten takes for fifty.
-  const bool needed = n_images <= 32 || !ordered;
+Decision ExhaustiveMatching(int n_images, bool ordered, bool has_gps) {
+  // 32 images have 496 pairs, about as many as are chosen for fifty.
+  const bool needed = n_images <= 32;
   return {"exhaustive_matching", needed,
-          std::to_string(n_images) + (ordered ? " photos in capture order" : " photos in no known order"),
-          "32 photos, or no order",
-          !needed          ? "neighbours in capture order overlap"
-          : n_images <= 32 ? "all pairs of so few are cheap"
-                           : "any two photos may overlap"};
+          std::to_string(n_images) + (ordered ? " photos in capture order" : " photos in no known order") +
+              (has_gps ? ", with GPS" : ""),
+          "32 photos",
+          needed    ? "all pairs of so few are cheap"
+          : ordered ? "neighbours in capture order and photos alike at a first look overlap"
+                    : "photos alike at a first look overlap"};
 }
 
 int FinestResolution(int n_train_views, bool sparse_depth) {

@@ -133,16 +133,16 @@ struct PoseSetting {
   int image_size = 1000, features = 2048;
   bool exhaustive = false;
 
-  const char* matching() const { return exhaustive ? "exhaustive" : "sequential"; }
+  const char* matching() const { return exhaustive ? "exhaustive" : "selective"; }
   bool operator==(const PoseSetting&) const = default;
 };
 
 // The first is that of `nrff run`.
 std::vector<PoseSetting> PoseSettings(const Json& ingest) {
   const std::string where = "ingest's manifest";
+  const bool ordered = Get<bool>(ingest, "ordered", where), has_gps = false;
   const PoseSetting usual{
-      .exhaustive =
-          needs::ExhaustiveMatching(Get<int>(ingest, "n_images", where), Get<bool>(ingest, "ordered", where)).needed};
+      .exhaustive = needs::ExhaustiveMatching(Get<int>(ingest, "n_images", where), ordered, has_gps).needed};
   std::vector<PoseSetting> settings(7, usual);
   settings[1].image_size = 500;
   settings[2].image_size = 1600;

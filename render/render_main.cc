@@ -3,8 +3,10 @@
 
 #include <ATen/ATen.h>
 
+#include <functional>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "model/checkpoint.h"
@@ -55,6 +57,17 @@ std::vector<View> PathViews(const Scene& scene, const Options& options) {
   return ReadPath(options.path, scene, options.frames);
 }
 
+// RenderSource::finish for the capture's views: each in the exposure that its photo has, or is thought to have.
+std::function<void(const View&, RenderedImage&)> InTheirExposures(const Scene& scene, const LoadedModel& model) {
+  std::vector<View> training;
+  for (const int index : scene.ViewsOf(Split::kTrain)) training.push_back(scene.views[index]);
+  ViewColours colours(*model.field, std::move(training));
+  if (colours.empty()) return {};
+  return [colours = std::move(colours), background = model.options.background](const View& view, RenderedImage& image) {
+    CorrectColours(colours.Of(view), background, int64_t(image.opacity.size()), image.opacity.data(), image.rgb.data());
+  };
+}
+
 void Render(const Options& options, const Params& params) {
   const Device device = ChooseDevice(options.device);
   const int n_threads = SetThreads(options.n_threads);
@@ -77,16 +90,7 @@ void Render(const Options& options, const Params& params) {
     gpu.emplace(device.gpu, *model->field, model->occupancy);
     source.render = [&](const View& view, const RenderOptions& with) { return gpu->Render(view, model->map, with); };
   }
-  std::vector<View> training;
-  for (const int index : scene.ViewsOf(Split::kTrain)) training.push_back(scene.views[index]);
-  const ViewColours colours(*model->field, std::move(training));
-  // The capture's views as their photos show them, paths all in one exposure.
-  if (!colours.empty() && options.path.empty()) {
-    source.finish = [&](const View& view, RenderedImage& image) {
-      CorrectColours(colours.Of(view), model->options.background, int64_t(image.opacity.size()), image.opacity.data(),
-                     image.rgb.data());
-    };
-  }
+  if (options.path.empty()) source.finish = InTheirExposures(scene, *model);  // a path's frames are all in one
   const RenderFacts facts = RenderViews(source, views, options.path.empty() ? "" : "path", artifact.dir());
   if (facts.n_kept > 0) LogInfo("kept " + std::to_string(facts.n_kept) + " views of an interrupted attempt");
   artifact.facts() = {{"n_views", facts.n_views},
@@ -134,7 +138,9 @@ void MeasureWorkPrecision(const Options& options, const Params& params) {
   ArtifactWriter artifact(
       "rendering", options.out, params,
       {ArtifactInput(options.scene_dir, scene_manifest), ArtifactInput(options.model_dir, model_manifest)});
-  Json result = RenderingWorkPrecision({*model->field, model->occupancy, model->map, model->options}, views, photos);
+  RenderSource source{*model->field, model->occupancy, model->map, model->options};
+  source.finish = InTheirExposures(scene, *model);
+  Json result = RenderingWorkPrecision(source, views, photos);
   result["threads"] = n_threads;
   result["width"] = views.front().width;
   result["height"] = views.front().height;

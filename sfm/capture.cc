@@ -41,6 +41,7 @@ Json ToJson(const CaptureImage& image) {
   const ImageInfo& info = image.info;
   return {{"id", image.id},
           {"path", EscapePath(image.path)},
+          {"extracted", image.extracted},
           {"name", image.Name()},
           {"split", image.split == Split::kTest ? "test" : "train"},
           {"width", info.width},
@@ -66,6 +67,7 @@ CaptureImage ImageFromJson(const Json& json, const std::string& where) {
   CaptureImage image;
   image.id = Get<std::string>(json, "id", where);
   image.path = UnescapePath(Get<std::string>(json, "path", where));
+  image.extracted = Get<bool>(json, "extracted", where);
   image.split = SplitNamed(Get<std::string>(json, "split", where), where);
   image.hash = Get<std::string>(json, "hash", where);
   image.mask = UnescapePath(GetOptional<std::string>(json, "mask", where).value_or(""));
@@ -130,6 +132,7 @@ Capture LoadCapture(const std::filesystem::path& dir) {
   const Json json = ReadJson(dir / kCaptureFile);
   CheckSchemaVersion(json, kCaptureSchemaVersion, where);
   Capture capture;
+  capture.artifact = dir;
   capture.name = Get<std::string>(json, "name", where);
   capture.kind = Get<std::string>(json, "kind", where);
   capture.root = UnescapePath(Get<std::string>(json, "root", where));

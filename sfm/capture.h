@@ -19,7 +19,8 @@ enum class Masks { kIgnore, kBackground };
 
 struct CaptureImage {
   std::string id;              // "000012": position in byte order of `path`
-  std::filesystem::path path;  // relative to Capture::root
+  std::filesystem::path path;  // relative to Capture::root or, of a frame of a video, to the ingest artifact
+  bool extracted = false;      // is a frame of a video
   Split split = Split::kTrain;
   ImageInfo info;                // info.orientation is the one to apply: 1 where poses refer to the stored raster
   std::string hash;              // of the file's bytes
@@ -39,7 +40,7 @@ struct RejectedFile {
 struct Capture {
   std::string name;
   std::string kind;  // photos | transforms | nsvf | colmap
-  std::filesystem::path root;
+  std::filesystem::path root, artifact;  // the folder as the user has it; the ingest artifact, in no file
   std::string split_rule;
   bool posed = false;
   bool ordered = false;  // byte order of the names is the order of taking (IsOrdered)
@@ -48,6 +49,9 @@ struct Capture {
   std::optional<std::array<double, 6>> box;  // min xyz, max xyz, world units
   std::vector<CaptureImage> images;          // by id
   std::vector<RejectedFile> rejected;
+  std::filesystem::path FileOf(const CaptureImage& image) const {
+    return (image.extracted ? artifact : root) / image.path;
+  }
   std::vector<std::vector<std::string>> duplicates;  // groups of photos that look alike, escaped relative paths
 };
 

@@ -14,6 +14,8 @@ namespace {
 constexpr int64_t kMaxImages =
     2147483647;  // pair_id = kMaxImages · smaller id + larger id (src/base/database.cc of 3.8)
 
+constexpr int kSiftDimension = 128;
+
 class Connection {
  public:
   explicit Connection(const std::filesystem::path& file) : file_(file) {
@@ -68,6 +70,25 @@ ColmapDatabase ReadColmapDatabase(const std::filesystem::path& file) {
   connection.ForEachRow("SELECT pair_id, rows FROM two_view_geometries", [&](sqlite3_stmt* row) {
     const int64_t pair = sqlite3_column_int64(row, 0);
     result.verified_matches[{uint32_t(pair / kMaxImages), uint32_t(pair % kMaxImages)}] = sqlite3_column_int(row, 1);
+  });
+  return result;
+}
+
+FeatureDescriptors ReadFeatureDescriptors(const std::filesystem::path& file, uint32_t image_id) {
+  FeatureDescriptors result(0, kSiftDimension);
+  Connection connection(file);
+  const std::string query = "SELECT rows, data FROM descriptors WHERE image_id = " + std::to_string(image_id);
+  connection.ForEachRow(query.c_str(), [&](sqlite3_stmt* row) {
+    const int64_t n_features = sqlite3_column_int64(row, 0), n_bytes = sqlite3_column_bytes(row, 1);
+    if (n_features < 0 || n_features > n_bytes || n_features * kSiftDimension != n_bytes) {
+      throw connection.Failure("image " + std::to_string(image_id) + " has " + std::to_string(n_features) +
+                               " descriptors in " + std::to_string(n_bytes) + " bytes, expected " +
+                               std::to_string(kSiftDimension) + " bytes each");
+    }
+    if (n_features > 0) {
+      result = Eigen::Map<const FeatureDescriptors>(static_cast<const uint8_t*>(sqlite3_column_blob(row, 1)),
+                                                    n_features, kSiftDimension);
+    }
   });
   return result;
 }

@@ -1,7 +1,8 @@
-// What COLMAP's database holds so far (SQLite; tables images, keypoints, two_view_geometries). Read only: COLMAP is the
-// one that writes it.
+// What COLMAP's database holds so far (SQLite; tables images, keypoints, descriptors, two_view_geometries). Read only:
+// COLMAP is the one that writes it.
 #pragma once
 
+#include <Eigen/Core>
 #include <cstdint>
 #include <filesystem>
 #include <map>
@@ -23,5 +24,11 @@ struct ColmapDatabase {
 
 // An absent file is an empty database. Throws CorruptError naming the file when it cannot be read.
 ColmapDatabase ReadColmapDatabase(const std::filesystem::path& file);
+
+// One row per feature: SIFT's 128 bytes.
+using FeatureDescriptors = Eigen::Matrix<uint8_t, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+// The descriptors of an image's features; none where it has not been extracted. Throws CorruptError as above.
+FeatureDescriptors ReadFeatureDescriptors(const std::filesystem::path& file, uint32_t image_id);
 
 }  // namespace nrff

@@ -19,8 +19,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Pairs up to which the thorough settings are affordable at once: about half a second each.
-constexpr size_t kAffordablePairs = 160;
+// Photos up to which the thorough settings are affordable at once: they have 153 pairs, about half a second each.
+constexpr int kAffordableImages = 18;
 
 // In the order in which they are tried. Features are found at the photo's own scale by kFast only; the others start one
 // octave up, which takes four times as long and gives about three times as many.
@@ -38,7 +38,7 @@ SfmSettings Settings(int level, bool exhaustive, uint64_t seed, int n_threads) {
       settings.max_image_size = 1600;
       settings.max_features = 4096;
       settings.first_octave = -1;
-      settings.n_neighbours = 10;
+      settings.n_neighbours = 15;
       break;
     default:
       settings.name = "exhaustive";
@@ -53,15 +53,8 @@ SfmSettings Settings(int level, bool exhaustive, uint64_t seed, int n_threads) {
   return settings;
 }
 
-const ColmapModel* Largest(const std::vector<ColmapModel>& models) {
-  const auto size = [](const ColmapModel& m) { return std::pair(m.images.size(), m.points.size()); };
-  const auto largest =
-      std::max_element(models.begin(), models.end(), [&](const auto& a, const auto& b) { return size(a) < size(b); });
-  return largest == models.end() ? nullptr : &*largest;
-}
-
 size_t NumRegistered(const Attempt& attempt) {
-  const ColmapModel* largest = Largest(attempt.models);
+  const ColmapModel* largest = LargestModel(attempt.models);
   return largest ? largest->images.size() : 0;
 }
 
@@ -70,7 +63,8 @@ Json AttemptFacts(const Attempt& attempt) {
   return {{"settings", s.name},
           {"max_image_size", s.max_image_size},
           {"max_features", s.max_features},
-          {"matching", s.exhaustive ? "exhaustive" : "sequential"},
+          {"peak_threshold", s.peak_threshold},
+          {"matching", s.exhaustive ? "exhaustive" : "selective"},
           {"n_pairs", attempt.n_pairs},
           {"n_registered", NumRegistered(attempt)},
           {"seconds", attempt.seconds_features + attempt.seconds_matching + attempt.seconds_mapping}};
@@ -128,7 +122,7 @@ void RecordFacts(const std::vector<Attempt>& attempts, const Attempt& best, cons
   facts["unregistered"] = unregistered;
   facts["n_points"] = model.points.size();
   facts["reprojection_error_px"] = reprojection_error_px;
-  facts["matching"] = best.settings.exhaustive ? "exhaustive" : "sequential";
+  facts["matching"] = best.settings.exhaustive ? "exhaustive" : "selective";
   facts["n_models"] = best.models.size();
   facts["models"] = Json::array();
   for (const ColmapModel& m : best.models) {
@@ -155,12 +149,11 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
   Colmap colmap(artifact.dir() / "colmap.log", options.stall_limit_seconds);
   artifact.facts()["colmap_version"] = colmap.version();
 
-  Decision matching = needs::ExhaustiveMatching(n_images, capture.ordered);
+  Decision matching = needs::ExhaustiveMatching(n_images, capture.ordered, /*has_gps=*/false);
   Force(matching, options.exhaustive);
   artifact.AddDecision(matching);
 
-  const SfmSettings fast = Settings(0, matching.needed, options.seed, options.n_threads);
-  const int first_level = ChoosePairs(n_images, fast).size() <= kAffordablePairs ? 1 : 0;
+  const int first_level = n_images <= kAffordableImages ? 1 : 0;
   const fs::path work = artifact.dir() / "work";
   std::vector<Attempt> attempts;
   size_t best = 0;
@@ -180,7 +173,7 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
     if (level == first_level) LogWarning("too few: trying again with larger photos and more features");
   }
 
-  const ColmapModel* largest = Largest(attempts[best].models);
+  const ColmapModel* largest = LargestModel(attempts[best].models);
   const size_t n_registered = NumRegistered(attempts[best]);
   if (n_registered < size_t(kFewestImages) || double(n_registered) < kFewest * n_images) {
     throw InputError(DiagnoseRegistration(capture, attempts.back().database, largest));

@@ -20,6 +20,7 @@
 #include "sfm/masks.h"
 #include "sfm/photo_work.h"
 #include "sfm/recognise.h"
+#include "sfm/video.h"
 
 namespace nrff {
 namespace {
@@ -34,6 +35,7 @@ struct MeasuredPhoto {
   DifferenceHash look;
   FrameShares frame;
   std::optional<RejectedFile> rejected;
+  std::string video;  // that it is a frame of
 };
 
 // The folder's path and name as recorded: absolute, without "." and a slash at the end.
@@ -56,9 +58,9 @@ bool FitOrientation(const ColmapCamera& camera, bool poses_ignore_orientation, I
   return Fits(camera, info.width, info.height);
 }
 
-void Measure(const Source& source, const ColmapCamera* camera, MeasuredPhoto& photo) {
+void Measure(const Source& source, const fs::path& artifact, const ColmapCamera* camera, MeasuredPhoto& photo) {
   CaptureImage& image = photo.image;
-  const fs::path file = source.root / image.path;
+  const fs::path file = (image.extracted ? artifact : source.root) / image.path;
   auto reject = [&](const std::string& reason) { photo.rejected = RejectedFile{EscapePath(image.path), reason}; };
   try {
     image.info = ProbeImage(file);
@@ -79,11 +81,12 @@ void Measure(const Source& source, const ColmapCamera* camera, MeasuredPhoto& ph
       image.mask_hash = HashFile(source.root / image.mask);
     }
     info.channels = pixels.channels;
+    if (image.extracted) info.model = photo.video;  // frames of a video share a camera with no other photos
     image.blur = MeasureBlur(pixels);
     photo.look = HashDifferences(pixels);
     photo.frame = MeasureFrame(pixels);
   } catch (const Error& error) {
-    photo.rejected = Rejection(source.root, image.path, error);
+    photo.rejected = Rejection(image.extracted ? artifact : source.root, image.path, error);
   }
 }
 
@@ -96,15 +99,17 @@ std::map<std::string, const ColmapCamera*> CamerasByPath(const Source& source) {
   return cameras;
 }
 
-std::vector<MeasuredPhoto> MeasureAll(const Source& source, int n_threads) {
+std::vector<MeasuredPhoto> MeasureAll(const Source& source, const fs::path& artifact, int n_threads) {
   const auto cameras = CamerasByPath(source);
   std::vector<MeasuredPhoto> photos(source.images.size());
   ForEachPhoto("reading photos", photos.size(), n_threads, [&](size_t i) {
     photos[i].image.path = source.images[i].path;
     photos[i].image.mask = source.images[i].mask;
+    photos[i].image.extracted = source.images[i].extracted;
+    photos[i].video = source.images[i].video;
     photos[i].given_split = source.images[i].split;
     const auto camera = cameras.find(source.images[i].path.native());
-    Measure(source, camera == cameras.end() ? nullptr : camera->second, photos[i]);
+    Measure(source, artifact, camera == cameras.end() ? nullptr : camera->second, photos[i]);
   });
   return photos;
 }
@@ -158,7 +163,7 @@ int GroupCameras(std::vector<CaptureImage>& images) {
 
 Capture MakeCapture(const Source& source, std::optional<Masks> masks, std::vector<MeasuredPhoto> photos) {
   Capture capture;
-  capture.name = EscapePath(CaptureFolderName(source.root));
+  capture.name = source.name;
   capture.kind = source.kind;
   capture.root = source.root;
   capture.posed = source.model.has_value();
@@ -203,7 +208,10 @@ Capture MakeCapture(const Source& source, std::optional<Masks> masks, std::vecto
     capture.background =
         has_alpha && capture.masks == Masks::kBackground ? Background::kWhite : PlainBackground(training_frames);
   }
-  capture.ordered = IsOrdered(paths, timestamps);
+  // Frames are chosen by how the picture moves: gaps in their numbers say nothing.
+  const bool one_video = source.videos.size() == 1 && std::all_of(capture.images.begin(), capture.images.end(),
+                                                                  [](const auto& image) { return image.extracted; });
+  capture.ordered = one_video || IsOrdered(paths, timestamps);
   for (const std::vector<int>& group : GroupAlike(looks)) {
     std::vector<std::string>& names = capture.duplicates.emplace_back();
     for (int index : group) names.push_back(EscapePath(paths[index]));
@@ -251,6 +259,32 @@ ColmapModel GivenModel(const ColmapModel& given, const Capture& capture) {
     }
   }
   return model;
+}
+
+// The frames of the source's videos become images of it, those that cannot be decoded are rejected. Returns what was
+// found, as videos.json has it.
+Json TakeFrames(int n_wanted, ArtifactWriter& artifact, Source& source) {
+  Json videos = Json::array();
+  std::vector<std::string> stems;
+  for (const fs::path& video : source.videos) {
+    const std::string name = EscapePath(video);
+    try {
+      ExtractedVideo extracted = ExtractFrames(source.root / video, name, n_wanted, artifact.dir(), stems);
+      for (const fs::path& frame : extracted.frames) {
+        source.images.push_back({.path = frame, .split = {}, .extracted = true, .video = name});
+      }
+      videos.push_back(std::move(extracted.record));
+    } catch (const Error& error) {
+      if (error.code() != ExitCode::kInput) throw;
+      source.rejected.push_back(Rejection(source.root, video, error));
+    }
+  }
+  if (videos.empty()) return videos;
+  std::stable_sort(source.images.begin(), source.images.end(),
+                   [](const SourceImage& a, const SourceImage& b) { return a.path.native() < b.path.native(); });
+  WriteJson(artifact.dir() / kVideosFile, {{"schema_version", kVideosSchemaVersion}, {"videos", videos}});
+  for (const char* output : {kVideosFile, kFramesDir, kThumbnailsDir}) artifact.AddOutput(output);
+  return videos;
 }
 
 double MedianBlur(const std::vector<CaptureImage>& images) {
@@ -321,7 +355,7 @@ void LogOutcome(const Capture& capture, const Json& facts) {
 
 Json ProbeCapture(const fs::path& capture) {
   const Source source = RecogniseCapture(CapturePath(capture));
-  CheckEnough(source, source.images.size(), source.rejected);
+  if (source.videos.empty()) CheckEnough(source, source.images.size(), source.rejected);
   std::vector<std::optional<Split>> given;
   bool has_alpha = false;
   int n_masks = 0;
@@ -337,15 +371,11 @@ Json ProbeCapture(const fs::path& capture) {
   std::vector<Split> splits;
   const std::string rule = FreezeHoldOut(given, splits);
   const int n_test = CountTest(splits), n_images = static_cast<int>(splits.size());
-  return {{"kind", source.kind},
-          {"name", EscapePath(CaptureFolderName(source.root))},
-          {"n_images", n_images},
-          {"posed", source.model.has_value()},
-          {"split_rule", rule},
-          {"has_alpha", has_alpha},
-          {"n_train", n_images - n_test},
-          {"n_test", n_test},
-          {"n_masks", n_masks}};
+  return {{"kind", source.kind},          {"name", source.name},
+          {"n_images", n_images},         {"posed", source.model.has_value()},
+          {"split_rule", rule},           {"has_alpha", has_alpha},
+          {"n_train", n_images - n_test}, {"n_test", n_test},
+          {"n_masks", n_masks},           {"n_videos", source.videos.size()}};
 }
 
 HashedPath CaptureInput(const fs::path& capture) {
@@ -359,7 +389,8 @@ void Ingest(const fs::path& capture_path, const IngestOptions& options, Artifact
     for (SourceImage& image : source.images) image.mask.clear();
   }
   LogInfo(EscapePath(source.root) + " is a capture of kind " + source.kind + ": " + source.evidence);
-  Capture capture = MakeCapture(source, options.masks, MeasureAll(source, options.n_threads));
+  const Json videos = TakeFrames(options.frames, artifact, source);
+  Capture capture = MakeCapture(source, options.masks, MeasureAll(source, artifact.dir(), options.n_threads));
   const int n_cameras = GroupCameras(capture.images);
   SaveCapture(capture, artifact.dir());
   artifact.AddOutput(kCaptureFile);
@@ -368,6 +399,14 @@ void Ingest(const fs::path& capture_path, const IngestOptions& options, Artifact
     artifact.AddOutput(kGivenModelDir);
   }
   artifact.facts() = Facts(capture, n_cameras);
+  int n_frames = 0, n_kept = 0;
+  for (const Json& video : videos) {
+    n_frames += int(video["verdict"].size());
+    n_kept += int(std::count(video["verdict"].begin(), video["verdict"].end(), "kept"));
+  }
+  artifact.facts()["n_videos"] = videos.size();
+  artifact.facts()["n_frames"] = n_frames;
+  artifact.facts()["n_frames_kept"] = n_kept;
   artifact.AddDecision(needs::Sfm(capture.posed, source.evidence));
   LogOutcome(capture, artifact.facts());
 }

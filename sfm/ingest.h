@@ -32,6 +32,7 @@ HashedPath CaptureInput(const std::filesystem::path& capture);
 struct IngestOptions {
   std::optional<Masks> masks;
   bool without_masks = false;  // they are not looked at
+  int frames = 0;              // of each video; 0: as far apart as the picture moves (frame_choice.h)
   int n_threads = 1;
 };
 void Ingest(const std::filesystem::path& capture, const IngestOptions& options, ArtifactWriter& artifact);

@@ -19,7 +19,7 @@ int main(int argc, char** argv) {
   bool probe = false;
   nrff::IngestOptions options;
   options.n_threads = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
-  app.add_option("capture", capture, "Folder of photos, transforms.json, NSVF layout or COLMAP model with images")
+  app.add_option("capture", capture, "Folder of photos, video, transforms.json, NSVF layout or COLMAP model with images")
       ->required();
   auto* where = app.add_option_group("what to do");
   where->require_option(1);
@@ -33,6 +33,9 @@ int main(int argc, char** argv) {
   app.add_option_function<std::string>("--masks", set_masks, "What masks leave out: ignore (default), background; off")
       ->group(nrff::kParameterGroup)
       ->check(CLI::IsMember({"ignore", "background", "off"}));
+  app.add_option("--frames", options.frames, "Frames of each video (default: as its picture moves)")
+      ->group(nrff::kParameterGroup)
+      ->check(CLI::Range(3, 2000));
   app.add_option("--threads", options.n_threads, "Photos decoded at once")
       ->check(CLI::Range(1, nrff::kMostThreads))
       ->capture_default_str();

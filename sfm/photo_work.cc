@@ -45,7 +45,7 @@ void ForEachPhoto(const std::string& what, size_t n_photos, int n_threads, const
 }
 
 Image ReadCapturedPhoto(const Capture& capture, const CaptureImage& photo) {
-  const std::filesystem::path file = capture.root / photo.path;
+  const std::filesystem::path file = capture.FileOf(photo);
   if (HashFile(file) != photo.hash)
     throw InputError(EscapePath(file) + " has changed since it was ingested: run ingest again");
   Image image = ReadImageOriented(file, photo.info.orientation);

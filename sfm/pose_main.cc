@@ -66,7 +66,7 @@ int main(int argc, char** argv) {
                    "Seconds after which a silent, idle COLMAP is stopped")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
-  nrff::AddForcedOption(*estimate, "--matching", estimation.exhaustive, "exhaustive", "sequential",
+  nrff::AddForcedOption(*estimate, "--matching", estimation.exhaustive, "exhaustive", "selective",
                         "Which pairs of photos are matched");
 
   estimate->add_option("--sfm-image-size", estimation.max_image_size, "Longer side of the photos for features, px")

@@ -11,6 +11,7 @@
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "pipeline/progress.h"
+#include "sfm/first_look.h"
 #include "sfm/working_photos.h"
 
 namespace nrff {
@@ -21,6 +22,12 @@ using Clock = std::chrono::steady_clock;
 
 // COLMAP allows 4 px, meant for photos of 3200 px: on smaller copies that lets wrong matches bend the cameras.
 constexpr char kInlier_px[] = "2";
+
+// Median number of a photo's features below which fainter ones are taken, too, down to this contrast (COLMAP's usual is
+// 0.0067): photos of a smooth cup (800×600 px) have 776 instead of 335, and 60 of 77 instead of 29 register, at half
+// the cost of searching them doubled in size, by which 61 do; textured ones have 1400 and more.
+constexpr int kFewFeatures = 500;
+constexpr double kFaint = 0.004;
 
 double SecondsSince(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
 
@@ -52,16 +59,18 @@ class Reconstruction {
 
   Attempt Run() {
     Attempt attempt;
-    attempt.settings = settings_;
     fs::create_directories(dir_);
     WriteWorkingPhotos(capture_, settings_.max_image_size, settings_.n_threads, photos_);
     artifact_.SaveSeconds();
-    ExtractFeatures(attempt);
+    ExtractEnoughFeatures(attempt);
     artifact_.SaveSeconds();
-    MatchPairs(attempt);
+    const ImagePairs pairs = ChoosePairs();
+    MatchPairs(pairs, attempt);
     artifact_.SaveSeconds();
-    Map(attempt);
+    attempt.models = Map("models", attempt);
     artifact_.SaveSeconds();
+    JoinPieces(pairs, attempt);
+    attempt.settings = settings_;
     return attempt;
   }
 
@@ -82,6 +91,24 @@ class Reconstruction {
       if (!extracted.count(WorkingPhotoName(photo))) groups[photo.camera].push_back(&photo);
     }
     return groups;
+  }
+
+  // Photos of smooth things: fainter features are taken, too.
+  void ExtractEnoughFeatures(Attempt& attempt) {
+    ExtractFeatures(attempt);
+    if (settings_.peak_threshold > 0 || MedianFeatures() >= kFewFeatures) return;
+    settings_.peak_threshold = kFaint;
+    database_ = dir_ / "faint.db";
+    ExtractFeatures(attempt);
+  }
+
+  int MedianFeatures() const {
+    std::vector<int> n_features;
+    for (const auto& [id, image] : ReadColmapDatabase(database_).images) n_features.push_back(image.n_keypoints);
+    if (n_features.empty()) return 0;
+    const auto middle = n_features.begin() + std::ptrdiff_t(n_features.size() / 2);
+    std::nth_element(n_features.begin(), middle, n_features.end());
+    return *middle;
   }
 
   // One camera for each group. The focal length that the photos give is where COLMAP starts from.
@@ -122,7 +149,7 @@ class Reconstruction {
       n_done += photos.size();
     }
     progress.Done();
-    attempt.seconds_features = SecondsSince(start);
+    attempt.seconds_features += SecondsSince(start);
   }
 
   static std::optional<uint32_t> CameraOf(const ColmapDatabase& database, int group) {
@@ -141,20 +168,18 @@ class Reconstruction {
   }
 
   // In batches, so that progress shows and an interruption costs little.
-  void MatchPairs(Attempt& attempt) {
+  void MatchPairs(const ImagePairs& pairs, Attempt& attempt) {
     const auto start = Clock::now();
-    const std::vector<ImagePair> pairs = ChoosePairs(int(capture_.images.size()), settings_);
-    attempt.n_pairs = pairs.size();
     const ColmapDatabase before = ReadColmapDatabase(database_);
-    CheckExtracted(before);
-    std::map<std::string, uint32_t> ids;
-    for (const auto& [id, image] : before.images) ids[image.name] = id;
+    const std::vector<uint32_t> ids = ImageIds(before);
+    attempt.n_pairs = pairs.size();
     std::vector<std::string> pending;
-    for (const auto& [first, second] : pairs) {
-      const std::string a = WorkingPhotoName(capture_.images[size_t(first)]),
-                        b = WorkingPhotoName(capture_.images[size_t(second)]);
-      if (before.verified_matches.count(std::minmax({ids.at(a), ids.at(b)}))) continue;
-      pending.emplace_back(a).append(" ").append(b).append("\n");
+    for (const auto& [a, b] : pairs) {
+      if (before.verified_matches.count(std::minmax({ids[size_t(a)], ids[size_t(b)]}))) continue;
+      pending.emplace_back(WorkingPhotoName(capture_.images[size_t(a)]))
+          .append(" ")
+          .append(WorkingPhotoName(capture_.images[size_t(b)]))
+          .append("\n");
     }
     const size_t batch = std::clamp<size_t>(pairs.size() / 20, 20, 400);
     Progress progress("matching", double(pairs.size()), "pairs");
@@ -176,30 +201,74 @@ class Reconstruction {
     }
     progress.Done();
     attempt.database = ReadColmapDatabase(database_);
-    attempt.seconds_matching = SecondsSince(start);
+    attempt.seconds_matching += SecondsSince(start);
   }
 
-  void CheckExtracted(const ColmapDatabase& database) const {
-    if (database.images.size() == capture_.images.size()) return;
-    throw ExternalToolError("colmap feature_extractor took " + std::to_string(database.images.size()) + " of " +
-                            std::to_string(capture_.images.size()) + " photos; its log is " +
-                            EscapePath(artifact_.dir() / "colmap.log"));
+  // COLMAP's, of the capture's photos.
+  std::vector<uint32_t> ImageIds(const ColmapDatabase& database) const {
+    if (database.images.size() != capture_.images.size()) {
+      throw ExternalToolError("colmap feature_extractor took " + std::to_string(database.images.size()) + " of " +
+                              std::to_string(capture_.images.size()) + " photos; its log is " +
+                              EscapePath(artifact_.dir() / "colmap.log"));
+    }
+    std::map<std::string, uint32_t> by_name;
+    for (const auto& [id, image] : database.images) by_name[image.name] = id;
+    std::vector<uint32_t> ids;
+    ids.reserve(capture_.images.size());
+    for (const CaptureImage& photo : capture_.images) ids.push_back(by_name.at(WorkingPhotoName(photo)));
+    return ids;
   }
 
-  void Map(Attempt& attempt) {
+  ImagePairs ChoosePairs() {
+    const std::vector<uint32_t> ids = ImageIds(ReadColmapDatabase(database_));
+    const int n_images = int(ids.size());
+    if (settings_.exhaustive) return AllPairs(n_images);
+    similarity_ = PhotoSimilarities(ids.size(), [&](size_t i) { return ReadFeatureDescriptors(database_, ids[i]); });
+    const ImagePairs similar = MostSimilarPairs(similarity_, settings_.n_neighbours);
+    return capture_.ordered ? Union(similar, SequentialPairs(n_images, settings_.n_next)) : similar;
+  }
+
+  void JoinPieces(const ImagePairs& matched, Attempt& attempt) {
+    const ColmapModel* largest = LargestModel(attempt.models);
+    if (settings_.exhaustive || !largest) return;
+    std::set<std::string> placed;
+    for (const auto& [id, image] : largest->images) placed.insert(image.name);
+    std::vector<bool> in_largest;
+    for (const CaptureImage& photo : capture_.images) in_largest.push_back(placed.contains(WorkingPhotoName(photo)));
+    const ImagePairs bridges = Difference(BridgingPairs(similarity_, in_largest, settings_.n_neighbours), matched);
+    if (bridges.empty()) return;
+    MatchPairs(Union(matched, bridges), attempt);
+    artifact_.SaveSeconds();
+    const std::vector<uint32_t> ids = ImageIds(attempt.database);
+    const bool any_holds = std::any_of(bridges.begin(), bridges.end(), [&](const ImagePair& pair) {
+      const auto matches =
+          attempt.database.verified_matches.find(std::minmax({ids[size_t(pair.first)], ids[size_t(pair.second)]}));
+      return matches != attempt.database.verified_matches.end() &&
+             matches->second > 0;  // none of photos without features
+    });
+    if (!any_holds) return;
+    std::vector<ColmapModel> joined = Map("joined", attempt);
+    if (const ColmapModel* now = LargestModel(joined); now && now->images.size() > largest->images.size())
+      attempt.models = std::move(joined);
+    artifact_.SaveSeconds();
+  }
+
+  std::vector<ColmapModel> Map(const std::string& name, Attempt& attempt) {
     const auto start = Clock::now();
-    const fs::path models = dir_ / "models", finished = dir_ / "models.finished";
+    const fs::path folder = dir_ / name, finished = dir_ / (name + ".finished");
     if (!fs::exists(finished)) {
-      fs::remove_all(models);
-      fs::create_directories(models);
-      RunMapper(models);
+      fs::remove_all(folder);
+      fs::create_directories(folder);
+      RunMapper(folder);
       WriteFileAtomically(finished, "");
     }
-    for (const auto& entry : fs::directory_iterator(models)) {
+    std::vector<ColmapModel> models;
+    for (const auto& entry : fs::directory_iterator(folder)) {
       if (entry.is_directory() && fs::exists(entry.path() / "images.bin"))
-        attempt.models.push_back(ReadColmapModel(entry.path()));
+        models.push_back(ReadColmapModel(entry.path()));
     }
-    attempt.seconds_mapping = SecondsSince(start);
+    attempt.seconds_mapping += SecondsSince(start);
+    return models;
   }
 
   void RunMapper(const fs::path& models) {
@@ -232,17 +301,22 @@ class Reconstruction {
   }
 
   const Capture& capture_;
-  const SfmSettings& settings_;
+  SfmSettings settings_;
   Colmap& colmap_;
   const fs::path dir_;
   const ArtifactWriter& artifact_;
-  const fs::path database_ = dir_ / "database.db", photos_ = dir_ / "photos";
+  fs::path database_ = dir_ / "database.db";
+  const fs::path photos_ = dir_ / "photos";
+  Eigen::MatrixXf similarity_;  // of the photos; with chosen pairs alone
 };
 
 }  // namespace
 
-std::vector<ImagePair> ChoosePairs(int n_images, const SfmSettings& settings) {
-  return settings.exhaustive ? AllPairs(n_images) : SequentialPairs(n_images, settings.n_neighbours);
+const ColmapModel* LargestModel(const std::vector<ColmapModel>& models) {
+  const auto size = [](const ColmapModel& m) { return std::pair(m.images.size(), m.points.size()); };
+  const auto largest =
+      std::max_element(models.begin(), models.end(), [&](const auto& a, const auto& b) { return size(a) < size(b); });
+  return largest == models.end() ? nullptr : &*largest;
 }
 
 Attempt Reconstruct(const Capture& capture, const SfmSettings& settings, Colmap& colmap, const fs::path& dir,

@@ -23,25 +23,29 @@ struct SfmSettings {
   int max_image_size = 1000;      // px, longer side
   int max_features = 2048;        // per photo
   int first_octave = 0;           // −1: features are searched in the photo doubled in size, too
-  double peak_threshold = 0;      // of features' contrast; 0: COLMAP's default
+  double peak_threshold = 0;      // of features' contrast; 0: COLMAP's default, lower where that gives few
   bool exhaustive = false;        // all pairs
-  int n_neighbours = 6;           // otherwise: each photo with this many next ones, and with some further on
+  int n_neighbours = 10;          // otherwise: each photo with this many most similar ones (first_look.h)
+  int n_next = 3;                 // and, in a capture in the order of taking, with this many next ones
   bool tolerant_mapping = false;  // place photos by fewer matches and smaller parallax
   uint64_t seed = 0;
   int n_threads = 1;
 };
 
 struct Attempt {
-  SfmSettings settings;
+  SfmSettings settings;             // as they came to be
   std::vector<ColmapModel> models;  // of the working photos; may be none
   ColmapDatabase database;          // after matching
   size_t n_pairs = 0;
   double seconds_features = 0, seconds_matching = 0, seconds_mapping = 0;
 };
 
-std::vector<ImagePair> ChoosePairs(int n_images, const SfmSettings& settings);
+// By photos, then points; nullptr where there is none.
+const ColmapModel* LargestModel(const std::vector<ColmapModel>& models);
 
-// Throws what Colmap throws; a mapper that finds no model is no failure.
+// Throws what Colmap throws; a mapper that finds no model is no failure. Where photos stay outside of the largest
+// model, pairs of them with it are matched, too, and if any of these hold, mapping is done again: pieces that were
+// joined by too few pairs become one.
 Attempt Reconstruct(const Capture& capture, const SfmSettings& settings, Colmap& colmap,
                     const std::filesystem::path& dir, const ArtifactWriter& artifact);
 

@@ -6,8 +6,8 @@
 #include <sqlite3.h>
 
 #include <algorithm>
-#include <cmath>
 #include <cstdlib>
+#include <numeric>
 
 #include "pipeline/process.h"
 #include "sfm/colmap_database.h"
@@ -41,14 +41,19 @@ while [ $# -gt 1 ]; do
 done
 case $command in
   feature_extractor) cp "$FAKE/database.db" "$database"; echo "Processed file [1/8]" ;;
-  mapper) cp -r "$FAKE"/models/. "$output"; echo "Registering image #1 (3)" ;;
+  mapper)
+    models="$FAKE"/models
+    [ "$(basename "$output")" = joined ] && models="$FAKE"/joined
+    cp -r "$models"/. "$output"; echo "Registering image #1 (3)"
+    ;;
 esac
 )sh";
 
 constexpr char kHelp38[] =
     "--database_path arg\n--image_path arg\n--output_path arg\n--image_list_path arg\n--match_list_path "
     "arg\n--random_seed arg\n"
-    "--SiftExtraction.use_gpu arg\n--SiftMatching.use_gpu arg\n--Mapper.min_model_size arg\n";
+    "--SiftExtraction.use_gpu arg\n--SiftExtraction.peak_threshold arg\n--SiftMatching.use_gpu "
+    "arg\n--Mapper.min_model_size arg\n";
 constexpr char kHelp313[] =
     "--database_path arg\n--image_path arg\n--output_path arg\n--image_list_path arg\n--match_list_path arg\n"
     "--default_random_seed arg\n--FeatureExtraction.use_gpu arg\n--FeatureMatching.use_gpu "
@@ -75,19 +80,21 @@ class Estimate : public ::testing::Test {
 
   void Script(const std::string& command, const std::string& text) { WriteFileAtomically(fake_ / command, text); }
 
-  // COLMAP's tables with all photos, 1000 features each, all pairs with `n_matches` verified matches.
-  void MakeDatabase(int n_matches) {
+  // COLMAP's tables with all photos, `n_keypoints` features each, all pairs with `n_matches` verified matches.
+  void MakeDatabase(int n_matches, int n_keypoints = 1000) {
     fs::remove(fake_ / "database.db");
     std::string sql =
         "CREATE TABLE images (image_id INTEGER PRIMARY KEY, name TEXT, camera_id INTEGER);"
         "CREATE TABLE keypoints (image_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
+        "CREATE TABLE descriptors (image_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
         "CREATE TABLE two_view_geometries (pair_id INTEGER PRIMARY KEY, rows INTEGER);";
     for (size_t i = 0; i < capture_.images.size(); ++i) {
       const std::string id = std::to_string(i + 1);
       sql += "INSERT INTO images VALUES (" + id + ", '" + WorkingPhotoName(capture_.images[i]) + "', 1);";
-      sql += "INSERT INTO keypoints VALUES (" + id + ", 1000, 6, NULL);";
+      sql += "INSERT INTO keypoints VALUES (" + id + ", " + std::to_string(n_keypoints) + ", 6, NULL);";
+      sql += "INSERT INTO descriptors VALUES (" + id + ", 2, 128, zeroblob(256));";
     }
-    for (const auto& [a, b] : AllPairs(8)) {
+    for (const auto& [a, b] : AllPairs(int(capture_.images.size()))) {
       sql += "INSERT INTO two_view_geometries VALUES (" + std::to_string(2147483647LL * (a + 1) + b + 1) + ", " +
              std::to_string(n_matches) + ");";
     }
@@ -98,11 +105,11 @@ class Estimate : public ::testing::Test {
   }
 
   // What the mapper finds: model `number` of these photos.
-  void AddModel(int number, const std::vector<int>& photos) {
+  void AddModel(int number, const std::vector<int>& photos, const std::string& folder = "models") {
     std::vector<std::string> names;
     names.reserve(photos.size());
     for (const int i : photos) names.push_back(WorkingPhotoName(capture_.images[size_t(i)]));
-    const fs::path dir = fake_ / "models" / std::to_string(number);
+    const fs::path dir = fake_ / folder / std::to_string(number);
     fs::create_directories(dir);
     WriteColmapBinary(MakeModel(names, 32, 24, -0.05), dir);
   }
@@ -171,6 +178,60 @@ TEST_F(Estimate, TooFewPhotosAreTriedOnceMoreWithMore) {
   ASSERT_EQ(manifest.facts.at("attempts").size(), 2u);
   EXPECT_EQ(manifest.facts.at("attempts")[0].at("n_registered"), 5);
   EXPECT_GT(manifest.facts.at("attempts")[1].at("max_features"), manifest.facts.at("attempts")[0].at("max_features"));
+}
+
+TEST_F(Estimate, FainterFeaturesAreTakenWherePhotosHaveFew) {
+  AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
+  Manifest manifest = Run();
+  EXPECT_EQ(manifest.facts.at("attempts")[0].at("peak_threshold"), 0);
+  EXPECT_THAT(Calls(), Not(HasSubstr("peak_threshold")));
+  MakeDatabase(100, 300);
+  manifest = Run();
+  ASSERT_EQ(manifest.facts.at("attempts").size(), 1u);
+  EXPECT_EQ(manifest.facts.at("attempts")[0].at("peak_threshold"), 0.004);
+  EXPECT_THAT(Calls(), HasSubstr("--SiftExtraction.peak_threshold 0.004"));
+}
+
+// 24 photos that all look the same: each is paired with the first ten and the next three, so that those of 10 to 22
+// have not been matched with 23.
+class EstimateOfPieces : public Estimate {
+ protected:
+  void SetUp() override {
+    Estimate::SetUp();
+    capture_ = MakeCapture(dir_.path() / "photos", 24, false);
+    SaveCapture(capture_, ingest_);
+    AddModel(0, {10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22});
+    AddModel(1, {0, 1, 2, 3, 4, 5, 6, 7, 8, 9});
+    std::vector<int> all(24);
+    std::iota(all.begin(), all.end(), 0);
+    AddModel(0, all, "joined");
+    options_.exhaustive = false;
+  }
+  size_t NumMapperCalls() {
+    size_t n = 0;
+    const std::string calls = Calls();
+    for (size_t at = 0; (at = calls.find("mapper ", at)) != std::string::npos; ++at) ++n;
+    return n;
+  }
+
+  EstimateOptions options_;
+};
+
+TEST_F(EstimateOfPieces, BecomeOneByPairsBetweenThem) {
+  MakeDatabase(100);
+  const Manifest manifest = Run(options_);
+  EXPECT_EQ(manifest.facts.at("n_registered"), 24);
+  EXPECT_EQ(manifest.facts.at("n_models"), 1);
+  ASSERT_EQ(manifest.facts.at("attempts").size(), 1u);
+  EXPECT_EQ(NumMapperCalls(), 2u);
+}
+
+TEST_F(EstimateOfPieces, ThatDoNotMatchAreNotMappedAgain) {
+  MakeDatabase(0);
+  const Manifest manifest = Run(options_);
+  EXPECT_EQ(manifest.facts.at("n_registered"), 13);
+  EXPECT_EQ(manifest.facts.at("n_models"), 2);
+  EXPECT_EQ(NumMapperCalls(), manifest.facts.at("attempts").size());
 }
 
 TEST_F(Estimate, LessThanHalfThePhotosIsAnErrorWithADiagnosis) {
@@ -243,7 +304,7 @@ TEST_F(Estimate, MatchingCanBeForcedOnTheCommandLine) {
   SaveCapture(capture_, ingest.dir());
   ingest.AddOutput(kCaptureFile);
   ingest.Commit();
-  for (const std::string matching : {"sequential", "exhaustive"}) {
+  for (const std::string matching : {"selective", "exhaustive"}) {
     ProcessOptions process;
     process.command = {std::string(NRFF_BIN_DIR) + "/nrff-pose",
                        "estimate",
@@ -260,21 +321,6 @@ TEST_F(Estimate, MatchingCanBeForcedOnTheCommandLine) {
     EXPECT_EQ(manifest.params, (Params{{"matching", matching}}));
     EXPECT_EQ(manifest.decisions.at(0).reason, "forced by an option");
   }
-}
-
-TEST(ImagePairs, SequentialPairsHoldNeighboursAndGrowSlowly) {
-  for (const int n : {2, 3, 50, 500}) {
-    const std::vector<ImagePair> pairs = SequentialPairs(n, 6);
-    for (int distance = 1; distance <= std::min(6, n - 1); ++distance) {
-      for (int i = 0; i + distance < n; ++i) {
-        EXPECT_TRUE(std::binary_search(pairs.begin(), pairs.end(), ImagePair(i, i + distance)));
-      }
-    }
-    EXPECT_EQ(std::adjacent_find(pairs.begin(), pairs.end()), pairs.end());
-    EXPECT_LE(double(pairs.size()), n * (8 + 4 * std::log2(n)));
-    for (const auto& [a, b] : pairs) EXPECT_TRUE(0 <= a && a < b && b < n);
-  }
-  EXPECT_EQ(AllPairs(11).size(), 55u);
 }
 
 TEST(EstimateWithColmap, ARealCaptureRegisters) {

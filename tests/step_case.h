@@ -4,6 +4,7 @@
 #include <c10/core/GradMode.h>
 
 #include <ostream>
+#include <vector>
 
 #include "model/training_step.h"
 #include "render/kernels/random.h"
@@ -44,6 +45,31 @@ inline void SetCorrections(const NrffField& field) {
   for (int64_t i = 0; i < corrections.numel(); ++i) {
     corrections.view({-1})[i] = 0.3 * (Uniform(5, 1, uint64_t(i)) - 0.5F);
   }
+}
+
+// What both sides of a step have.
+inline std::vector<StepCase> CommonStepCases() {
+  return {{"ColourAlone", false, Activation::kRelu, {}},
+          {"Paper", false, Activation::kGelu, {.orientation = 0.3, .density_l1 = 8e-5}},
+          {"Sparsity", false, Activation::kRelu, {.sparsity = 0.1}},
+          {"StopsEarly", false, Activation::kRelu, {.orientation = 0.3}, 0.02, 0.02},
+          {"UnboundedWithDepths",
+           true,
+           Activation::kRelu,
+           {.orientation = 0.3, .sparsity = 1e-3, .depth = 0.1},
+           0.01,
+           0.01,
+           100},
+          With("DiffuseAlone", [](FieldConfig& f) { f.directional_encoding = DirectionalEncoding::kNone; }),
+          With("VectorMatrixDecoded",
+               [](FieldConfig& f) {
+                 f.levels = 1;
+                 f.base_resolution = f.max_resolution;
+                 f.density_channels = 8;
+                 f.appearance_channels = 12;
+                 f.decoded_features = 7;
+               }),
+          ColourCorrections()};
 }
 
 // Sizes that divide nothing.

@@ -12,6 +12,7 @@ import datetime
 import json
 import os
 import pathlib
+import random
 import statistics
 import subprocess
 
@@ -31,9 +32,45 @@ def real(path):
     return lambda folder, data: data / path if data else None
 
 
+def ffmpeg(*arguments):
+    subprocess.run(["ffmpeg", "-nostdin", "-v", "error", "-y", *map(str, arguments)], check=True)
+
+
+def fox_video(folder, data):
+    """The photos of fox as a video in which every photo is four frames in random order: twice as it is, twice blurred."""
+    photos = sorted((data / "scenes/fox/images").iterdir()) if data else []
+    video = folder / "fox.mp4"
+    if not photos or video.exists():
+        return video if photos else None
+    frames = folder / "frames"
+    frames.mkdir(parents=True, exist_ok=True)
+    order, n = random.Random(1), 0
+    for photo in photos:
+        kinds = ["sharp", "sharp", "blurred", "blurred"]
+        order.shuffle(kinds)
+        for kind in kinds:
+            n += 1
+            ffmpeg("-i", photo, *(["-vf", "gblur=sigma=5"] if kind == "blurred" else []), "-q:v", "1",
+                   frames / f"{n:05d}.jpg")
+    ffmpeg("-framerate", "12", "-i", frames / "%05d.jpg", "-c:v", "libx264", "-crf", "14", "-pix_fmt", "yuv420p", video)
+    return video
+
+
+def every_fourth(folder, data):
+    """As many frames of that video, by their number alone."""
+    video = fox_video(folder, data)
+    photos = folder / "every-fourth"
+    if video and not photos.exists():
+        photos.mkdir()
+        ffmpeg("-i", video, "-vf", "select=not(mod(n\\,4))", "-vsync", "passthrough", "-q:v", "2", photos / "%05d.jpg")
+    return photos if video else None
+
+
 EXPOSURE = [("without", [], ["--exposure-correction", "off"]), ("with", [], ["--exposure-correction", "on"])]
 MASKS = [("without", ["--masks", "off"], []), ("with", ["--masks", "ignore"], [])]
-# name, facility, capture, and for each variant: its options of the run up to poses, and of training
+# name, facility, capture, and for each variant: its options of the run up to poses, and of training, and its capture
+# where that is another
+VIDEO = [("every 4th frame", [], [], every_fourth), ("chosen", ["--frames", "50"], [])]
 CASES = [
     ("kermit", "exposure", real("photos/kermit"), EXPOSURE),
     ("ET", "exposure", real("photos/ET"), EXPOSURE),
@@ -43,6 +80,7 @@ CASES = [
     ("maryrose", "exposure", real("photos/maryrose"), EXPOSURE),
     ("drifting", "exposure", make(["--views", "32", "--exposure-drift", "2"]), EXPOSURE),
     ("steady", "exposure", make(["--views", "32"]), EXPOSURE),
+    ("fox-video", "video", fox_video, VIDEO),
     ("passers-by", "masks", make(["--views", "32", "--passers-by"]), MASKS),
 ]
 
@@ -64,12 +102,12 @@ def pose_error(workspace, truth):
 
 def measure(case, args, work):
     name, facility, capture, variants = case
-    folder = capture(work / "captures" / name, args.data)
-    if folder is None:
-        return None
     result = {"name": name, "facility": facility, "variants": []}
-    for variant, before, training in variants:
-        workspace = work / name / "-".join(["poses", *before])
+    for variant, before, training, *own_capture in variants:
+        folder = (own_capture[0] if own_capture else capture)(work / "captures" / name, args.data)
+        if folder is None:
+            return None
+        workspace = work / name / "-".join(["poses", folder.name, *before])
         subprocess.run([BIN / "nrff", "run", folder, "-w", workspace, "--max-image-size", str(args.max_image_size),
                         "--until", "pose", "--quiet", *before], check=True)
         facts = {stage: read(workspace / stage / "manifest.json") for stage in ("ingest", "pose")}

@@ -20,9 +20,11 @@ std::vector<std::string> Seeds() {
                                   "PRAGMA page_size = 512;"
                                   "CREATE TABLE images (image_id INTEGER PRIMARY KEY, name TEXT, camera_id INTEGER);"
                                   "CREATE TABLE keypoints (image_id INTEGER PRIMARY KEY, rows INTEGER);"
+                                  "CREATE TABLE descriptors (image_id INTEGER PRIMARY KEY, rows INTEGER, data BLOB);"
                                   "CREATE TABLE two_view_geometries (pair_id INTEGER PRIMARY KEY, rows INTEGER);"
                                   "INSERT INTO images VALUES (1, '000000', 1), (2, '000001', 1);"
                                   "INSERT INTO keypoints VALUES (1, 300);"
+                                  "INSERT INTO descriptors VALUES (1, 1, zeroblob(128));"
                                   "INSERT INTO two_view_geometries VALUES (2147483649, 50);",
                                   nullptr, nullptr, nullptr);
   Require(status == SQLITE_OK && sqlite3_close(database) == SQLITE_OK, "a database can be written");
@@ -37,5 +39,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   for (const char* suffix : {"-journal", "-wal", "-shm"}) std::filesystem::remove(file.native() + suffix);
   fuzz::Write(fuzz::kFile, {reinterpret_cast<const char*>(data), size});
   fuzz::ParseOrError(file, [&] { return ReadColmapDatabase(file); });
+  const auto descriptors = fuzz::ParseOrError(file, [&] { return ReadFeatureDescriptors(file, 1); });
+  if (descriptors) fuzz::Require(descriptors->cols() == 128, "every descriptor is one of SIFT");
   return 0;
 }
