@@ -213,8 +213,8 @@ std::vector<fs::path> ListFiles(const fs::path& root) {
 std::string HashTree(const fs::path& root) {
   std::error_code error;
   if (!fs::exists(root, error)) throw InputError(EscapePath(root) + " does not exist: give a capture's folder");
-  std::string listing;
   if (fs::is_regular_file(root, error)) return HashFile(root);
+  std::string listing;
   for (const fs::path& file : ListFiles(root)) {
     std::string content;
     try {

@@ -70,13 +70,11 @@ Decision Contraction(bool box_given, bool has_alpha, std::optional<double> backg
   return decision;
 }
 
-Decision ExhaustiveMatching(int n_images, bool ordered, bool has_gps) {
+Decision ExhaustiveMatching(int n_images, bool ordered) {
   // 32 images have 496 pairs, about as many as are chosen for fifty.
   const bool needed = n_images <= 32;
   return {"exhaustive_matching", needed,
-          std::to_string(n_images) + (ordered ? " photos in capture order" : " photos in no known order") +
-              (has_gps ? ", with GPS" : ""),
-          "32 photos",
+          std::to_string(n_images) + (ordered ? " photos in capture order" : " photos in no known order"), "32 photos",
           needed    ? "all pairs of so few are cheap"
           : ordered ? "neighbours in capture order and photos alike at a first look overlap"
                     : "photos alike at a first look overlap"};

@@ -40,10 +40,9 @@ Decision Undistortion(double largest_displacement_px);
 Decision Contraction(bool box_given, bool has_alpha, std::optional<double> background_fraction);
 
 // All pairs are matched when there are few. Beyond that each photo is matched with those most like it at a first look
-// (sfm/first_look.h) and, where they are known, with its next ones in capture order and the nearest ones by GPS, so that
-// pairs grow linearly with photos: ten similar ones hold 96 to 99 % of each photo's five best partners of all
-// (tests/bench/results/matching.md).
-Decision ExhaustiveMatching(int n_images, bool ordered, bool has_gps);
+// (sfm/first_look.h) and, where the order is known, with its next ones, so that pairs grow linearly with photos: ten
+// similar ones hold 96 to 99 % of each photo's five best partners of all (tests/bench/results/matching.md).
+Decision ExhaustiveMatching(int n_images, bool ordered);
 
 // The finest grid resolution that training settles. Few views leave finer cells to be learnt by heart, view by view,
 // unless sparse depths hold the surfaces in place (tests/bench/results/features.md): without depths, fine levels cost
@@ -61,8 +60,8 @@ Decision SparseDepth(size_t n_depths, bool unbounded);
 
 // Colour corrections of training views are left out where exposure and white balance hardly differ between them
 // (`spread_ev`: ExposureSpread of scene.h), and in bounded scenes, where an object that was turned before its light
-// looks as if exposures differed. Measured (tests/bench/results/facilities.md): they gain kermit, at 0.14 EV, and ET, at
-// 0.49 EV, more than 1 dB of held-out PSNR, cup 0.4 at 0.28 EV, and cost maryrose, on its turntable, 0.1 at 0.31 EV.
+// looks as if exposures differed. Measured (tests/bench/results/facilities.md): they gain kermit, at 0.14 EV, and ET,
+// at 0.49 EV, more than 1 dB of held-out PSNR, cup 0.4 at 0.28 EV, and cost maryrose, on its turntable, 0.1 at 0.31 EV.
 Decision ExposureCorrection(double spread_ev, bool unbounded);
 
 // The model `small` is left out for `tiny` where so few of its steps fit in the training budget that the smaller model

@@ -10,8 +10,8 @@ namespace {
 
 constexpr std::array<std::string_view, 8> kPhotos = {".jpg",  ".jpeg", ".png",  ".tif",
                                                      ".tiff", ".webp", ".heic", ".heif"};
-constexpr std::array<std::string_view, 10> kVideos = {".mp4",  ".mov", ".m4v",  ".avi", ".mkv",
-                                                      ".webm", ".mts", ".m2ts", ".3gp", ".mpg"};
+constexpr std::array<std::string_view, 15> kVideos = {".mp4", ".mov", ".m4v", ".avi",  ".mkv", ".webm", ".mts", ".m2ts",
+                                                      ".ts",  ".3gp", ".mpg", ".mpeg", ".wmv", ".flv",  ".ogv"};
 
 template <typename Extensions>
 bool HasExtensionOf(const Extensions& extensions, const std::filesystem::path& path) {

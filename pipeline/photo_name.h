@@ -8,7 +8,8 @@ namespace nrff {
 // Whether a file's name ends like that of a photo (.jpg .jpeg .png .tif .tiff .webp .heic .heif, in any case).
 bool HasPhotoExtension(const std::filesystem::path& path);
 
-// Whether a file's name ends like that of a video (.mp4 .mov .m4v .avi .mkv .webm .mts .m2ts .3gp .mpg, in any case).
+// Whether a file's name ends like that of a video (.mp4 .mov .m4v .avi .mkv .webm .mts .m2ts .ts .3gp .mpg
+// .mpeg .wmv .flv .ogv, in any case).
 bool HasVideoExtension(const std::filesystem::path& path);
 
 }  // namespace nrff

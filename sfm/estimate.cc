@@ -149,7 +149,7 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
   Colmap colmap(artifact.dir() / "colmap.log", options.stall_limit_seconds);
   artifact.facts()["colmap_version"] = colmap.version();
 
-  Decision matching = needs::ExhaustiveMatching(n_images, capture.ordered, /*has_gps=*/false);
+  Decision matching = needs::ExhaustiveMatching(n_images, capture.ordered);
   Force(matching, options.exhaustive);
   artifact.AddDecision(matching);
 

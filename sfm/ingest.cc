@@ -139,7 +139,7 @@ std::string FreezeHoldOut(const std::vector<std::optional<Split>>& given, std::v
 
 void CheckEnough(const Source& source, size_t n_usable, const std::vector<RejectedFile>& rejected) {
   if (n_usable >= static_cast<size_t>(kMinImages)) return;
-  std::string message = EscapePath(source.root) + ": ";
+  std::string message = EscapePath(source.given) + ": ";
   if (n_usable == 1 && rejected.empty()) {
     message += "holds one photo, and one photo cannot be reconstructed";
   } else {
@@ -408,6 +408,10 @@ void Ingest(const fs::path& capture_path, const IngestOptions& options, Artifact
   artifact.facts()["n_frames"] = n_frames;
   artifact.facts()["n_frames_kept"] = n_kept;
   artifact.AddDecision(needs::Sfm(capture.posed, source.evidence));
+  if (options.frames > 0 && source.videos.empty()) LogWarning("--frames does nothing here: there is no video");
+  if (options.masks && artifact.facts()["has_alpha"] == false) {
+    LogWarning("--masks does nothing here: there are no masks and no alpha channels");
+  }
   LogOutcome(capture, artifact.facts());
 }
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cctype>
 #include <map>
+#include <set>
 #include <vector>
 
 #include "pipeline/error.h"
@@ -46,23 +47,33 @@ std::optional<size_t> MaskFolder(const std::vector<fs::path>& parts) {
 bool IsInMaskFolder(const fs::path& relative) { return MaskFolder(Parts(relative)).has_value(); }
 
 void AttachMasks(Source& source) {
+  std::set<fs::path> photos;
+  for (const SourceImage& image : source.images) photos.insert(image.path);
   std::map<fs::path, fs::path> masks;  // by what a photo of theirs is called
   for (const fs::path& file : ListFiles(source.root)) {
     const fs::path path = file.lexically_relative(source.root);
     const std::vector<fs::path> parts = Parts(path);
     const std::optional<size_t> folder = MaskFolder(parts);
-    if (folder && HasPhotoExtension(path)) masks.emplace(Without(parts, *folder).replace_extension(), path);
+    if (!folder || !HasPhotoExtension(path) || photos.contains(path)) continue;
+    const auto [first, is_new] = masks.emplace(Without(parts, *folder).replace_extension(), path);
+    if (!is_new) {
+      source.rejected.push_back({EscapePath(path), "is called as the mask " + EscapePath(first->second) + " is"});
+    }
   }
   if (masks.empty()) return;
   std::map<fs::path, fs::path> used;  // masks, and whose they are
   for (SourceImage& image : source.images) {
     const std::vector<fs::path> parts = Parts(image.path);
-    for (size_t left_out = 0; image.mask.empty() && left_out < parts.size(); ++left_out) {
-      // The last part is the name: none of the folders is left out then.
+    if (!image.mask.empty()) {  // given, and perhaps that of all photos of a rig
+      used.emplace(image.mask, image.path);
+      continue;
+    }
+    // At the photo's own place first, then with one of its folders left out, the innermost first.
+    for (size_t left_out = parts.size(); image.mask.empty() && left_out-- > 0;) {
       const fs::path place = left_out + 1 == parts.size() ? image.path : Without(parts, left_out);
       for (const fs::path& name : {place, fs::path(place).replace_extension()}) {
         const auto mask = masks.find(name);
-        if (mask != masks.end()) image.mask = mask->second;
+        if (image.mask.empty() && mask != masks.end()) image.mask = mask->second;
       }
     }
     if (image.mask.empty()) continue;
@@ -79,7 +90,7 @@ void AttachMasks(Source& source) {
 }
 
 void ApplyMask(const fs::path& file, int orientation, Image& photo) {
-  Image mask = ReadImageOriented(file, 1);
+  Image mask = ReadImageOriented(file);
   const bool turned = orientation >= 5;
   if (mask.width == photo.height && mask.height == photo.width && turned) mask = Oriented(std::move(mask), orientation);
   if (mask.width != photo.width || mask.height != photo.height) {

@@ -24,8 +24,9 @@ bool IsInMaskFolder(const std::filesystem::path& relative);
 void AttachMasks(Source& source);
 
 // The mask's pixels become the photo's alpha channel, together with what alpha it has. Nothing changes where the mask
-// counts every pixel. Throws InputError naming `file` when it cannot be read, has neither the size of `photo` nor that
-// of its stored raster (`orientation`: EXIF, of the photo), or counts no pixel.
+// counts every pixel. A mask is for the photo as it is shown; one of another size, for its stored raster where the
+// photo is stored on its side (`orientation`: EXIF, of the photo). Throws InputError naming `file` when it cannot be
+// read, has neither size, or counts no pixel.
 void ApplyMask(const std::filesystem::path& file, int orientation, Image& photo);
 
 }  // namespace nrff

@@ -43,9 +43,16 @@ void SortOthers(const std::vector<fs::path>& files, Source& source) {
   for (const fs::path& file : files) {
     const fs::path path = file.lexically_relative(source.root);
     const std::optional<std::string> why = WhyPassedOver(path);
-    if (photos.contains(fs::path(path).replace_extension())) continue;
+    const bool is_video = HasVideoExtension(path) && !IsInMaskFolder(path);
+    if (photos.contains(fs::path(path).replace_extension())) {
+      if (is_video) {
+        source.rejected.push_back(
+            {EscapePath(path), "is taken for the live photo of the photo of its name: rename it to use its frames"});
+      }
+      continue;
+    }
     if (why) source.rejected.push_back({EscapePath(path), *why});
-    if (HasVideoExtension(path)) source.videos.push_back(path);
+    if (is_video) source.videos.push_back(path);
   }
 }
 
@@ -111,6 +118,7 @@ Source RecogniseCapture(const fs::path& root) {
     source.evidence = "a video";
     source.name = EscapePath(CaptureFolderName(root));
     source.root = root.parent_path();
+    source.given = root;
     source.videos = {root.filename()};
     return source;
   }
@@ -122,6 +130,7 @@ Source RecogniseCapture(const fs::path& root) {
   if (error) throw InputError(EscapePath(root) + ": cannot be listed (" + error.message() + "); check its permissions");
   Source source = ReadSource(root);
   source.name = EscapePath(CaptureFolderName(root));
+  source.given = root;
   SortAndRejectRepeated(source);
   AttachMasks(source);
   return source;

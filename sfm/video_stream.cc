@@ -155,16 +155,23 @@ std::string Scale(int longer_side) {
 }  // namespace
 
 VideoFacts ProbeVideo(const fs::path& video) {
+  const auto probe = [&](const char* verbosity, const std::function<void(std::string_view)>& on_line) {
+    return RunTool({"ffprobe", "-v", verbosity, "-select_streams", "V:0", "-show_entries",
+                    "stream=avg_frame_rate,codec_type:format=duration", "-of", "json", Input(video)},
+                   on_line);
+  };
   std::string output;
   const ProcessResult result =
-      RunTool({"ffprobe", "-v", "error", "-select_streams", "v:0", "-show_entries",
-               "stream=avg_frame_rate,codec_type:format=duration", "-of", "json", Input(video)},
-              [&](std::string_view line) { output.append(line).append("\n"); });
+      probe("quiet", [&](std::string_view line) { output.append(line).append("\n"); });  // complaints are no JSON
   const Json json = Json::parse(output, nullptr, /*allow_exceptions=*/false);
   const bool has_video = json.is_object() && json.contains("streams") && json["streams"].is_array() &&
                          !json["streams"].empty() && json["streams"][0].is_object();
   if (!result.Succeeded() || !has_video) {
-    throw InputError(EscapePath(video) + ": holds no video that can be decoded (" + LastLine(result) +
+    std::string reason = "it has no stream of pictures";
+    probe("error", [&](std::string_view line) {
+      if (line.find_first_of("{}[]") != 0) reason = EscapePath(std::string(line.substr(line.rfind(": ") + 1)));
+    });
+    throw InputError(EscapePath(video) + ": holds no video that can be decoded (" + reason +
                      "); copy it again, or save frames of it as photos");
   }
   VideoFacts facts;
@@ -180,11 +187,11 @@ std::string StreamFrames(const fs::path& video, int longer_side, const fs::path&
   std::atomic<bool> cancel = false;
   std::future<ProcessResult> ffmpeg = std::async(std::launch::async, [&] {
     return RunTool(
-        {"ffmpeg", "-nostdin", "-v", "error", "-y", "-i", Input(video), "-map", "0:v:0", "-vf",
+        {"ffmpeg", "-nostdin", "-v", "error", "-y", "-i", Input(video), "-map", "0:V:0", "-vf",
          Scale(longer_side) + ",format=gray", "-vsync", "passthrough", "-f", "yuv4mpegpipe", "file:" + path.string()},
         {}, &cancel);
   });
-  // Destroyed before `ffmpeg`, which waits for the program: that has no reader any more when an exception leaves here.
+  // Destroyed before `ffmpeg`, which waits for the program: nobody reads any more when an exception leaves here.
   const struct Cancel {
     std::atomic<bool>& flag;
     ~Cancel() { flag = true; }
@@ -203,11 +210,15 @@ std::string StreamFrames(const fs::path& video, int longer_side, const fs::path&
     if (n == 0 && ended) break;
   }
   const ProcessResult result = ffmpeg.get();
+  if (result.end != ProcessResult::End::kExited) {
+    throw ExternalToolError("ffmpeg " + DescribeEnd(result) + " while it decoded " + EscapePath(video) +
+                            "; run it again, with more memory if it was killed");
+  }
   if (n_frames == 0) {
     throw InputError(EscapePath(video) + ": no frame of it can be decoded (" + LastLine(result) +
                      "); copy it again, or save frames of it as photos");
   }
-  return result.last_lines.empty() ? std::string() : LastLine(result);
+  return result.last_lines.empty() && result.Succeeded() ? std::string() : LastLine(result);
 }
 
 void WriteFrames(const fs::path& video, const std::vector<FrameFiles>& wanted, const fs::path& dir) {
@@ -219,14 +230,25 @@ void WriteFrames(const fs::path& video, const std::vector<FrameFiles>& wanted, c
     for (const int frame : files.frames) {
       filter += (filter.empty() ? "select=" : "+") + std::string("eq(n\\,") + std::to_string(frame) + ")";
     }
-    if (files.longer_side > 0) filter += "," + Scale(files.longer_side);
+    // As JPEG files are read: BT.601, all values; with square pixels.
+    filter += files.longer_side > 0 ? "," + Scale(files.longer_side) + ":" : ",scale=w='iw*sar':h=ih:";
+    filter += "in_color_matrix=auto:out_color_matrix=bt601:out_range=full,setsar=1,format=yuvj444p";
     folders.push_back(dir / ("frames." + std::to_string(folders.size())));
     fs::create_directories(folders.back());
+    std::string folder = folders.back().string();
+    for (size_t at = 0; (at = folder.find('%', at)) != std::string::npos; at += 2) folder.insert(at, 1, '%');
     // A quality of 2 is the best that FFmpeg's JPEG has but for 1, which takes half as much again.
-    command.insert(command.end(), {"-map", "0:v:0", "-vf", filter, "-vsync", "passthrough", "-q:v", "2", "-f", "image2",
-                                   "file:" + (folders.back() / "%06d.jpg").string()});
+    command.insert(command.end(), {"-map", "0:V:0", "-vf", filter, "-vsync", "passthrough", "-q:v", "2", "-f", "image2",
+                                   "file:" + folder + "/%06d.jpg"});
   }
   if (folders.empty()) return;
+  const struct Remove {
+    const std::vector<fs::path>& folders;
+    ~Remove() {
+      std::error_code ignored;
+      for (const fs::path& folder : folders) fs::remove_all(folder, ignored);
+    }
+  } remove_at_end{folders};
   const ProcessResult result = RunTool(command);
   size_t folder = 0;
   for (const FrameFiles& files : wanted) {
@@ -235,13 +257,17 @@ void WriteFrames(const fs::path& video, const std::vector<FrameFiles>& wanted, c
       char name[32];
       std::snprintf(name, sizeof name, "%06zu.jpg", i + 1);
       if (!fs::exists(folders[folder] / name)) {
+        if (!result.Succeeded()) {
+          throw ResourceError("ffmpeg could not write the frames of " + EscapePath(video) + " to " + EscapePath(dir) +
+                              " (" + LastLine(result) + "); check the disk's space and permissions");
+        }
         throw InputError(EscapePath(video) + ": frame " + std::to_string(files.frames[i]) +
                          " can no longer be decoded (" + LastLine(result) + "); copy the video again");
       }
       fs::create_directories(files.names[i].parent_path());
       fs::rename(folders[folder] / name, files.names[i]);
     }
-    fs::remove_all(folders[folder++]);
+    ++folder;
   }
 }
 

@@ -25,8 +25,8 @@ struct Sighting {
 
 // Mean colour around a place; nothing where a pixel is outside, transparent or clipped.
 std::optional<Sighting> Look(const View& view, const uint8_t* pixels, double x, double y) {
-  const int ix = int(std::floor(x)), iy = int(std::floor(y));
-  if (ix < kPatch || iy < kPatch || ix >= view.width - kPatch || iy >= view.height - kPatch) return {};
+  if (!(x >= kPatch && y >= kPatch && x < view.width - kPatch && y < view.height - kPatch)) return {};
+  const int ix = int(x), iy = int(y);
   double sum[3] = {};
   for (int v = iy - kPatch; v <= iy + kPatch; ++v) {
     for (int u = ix - kPatch; u <= ix + kPatch; ++u) {

@@ -78,7 +78,26 @@ TEST_F(MasksTest, OfNoPhotoAreNamed) {
 
 TEST_F(MasksTest, AFolderOfPhotosCalledMasksHoldsPhotos) {
   WritePhotos(3, "masks/photo_");
-  EXPECT_EQ(RunIngest().images.size(), 3u);
+  EXPECT_EQ(MasksOf(RunIngest()), (std::vector<std::string>{"", "", ""}));
+}
+
+TEST_F(MasksTest, TheOneOfThePhotosFullNameComesFirst) {
+  WritePhotos(3);
+  WriteMask("masks/photo_00.png.png");
+  WriteMask("masks/photo_00.png", 48, 32, 5);
+  WriteMask("mask/photo_00.png", 48, 32, 6);
+  const Capture capture = RunIngest();
+  EXPECT_EQ(capture.images[0].mask, "masks/photo_00.png.png");
+  EXPECT_EQ(capture.rejected.size(), 2u) << "the others are named";
+}
+
+TEST_F(MasksTest, OneMaskOfAllFramesIsGivenInTransformsJson) {
+  WritePhotos(4);
+  WriteMask("masks/rig.png");
+  Json frames = RingFrames(4, "photo_");
+  for (Json& frame : frames) frame["mask_path"] = "masks/rig.png";
+  Write("transforms.json", Json{{"camera_angle_x", 0.8}, {"frames", frames}}.dump());
+  EXPECT_EQ(MasksOf(RunIngest()), std::vector<std::string>(4, "masks/rig.png"));
 }
 
 TEST_F(MasksTest, TransformsJsonNamesThem) {

@@ -15,7 +15,9 @@ namespace nrff {
 namespace {
 
 namespace fs = std::filesystem;
+using ::testing::AllOf;
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 std::vector<int> Kept(const std::vector<FrameVerdict>& verdicts) {
   std::vector<int> kept;
