@@ -4,7 +4,8 @@
 //   DIR/truth/transforms.json       exact poses (OpenGL axes) and intrinsics of the photos
 //   DIR/truth/truth.json            units, objects, files per view
 //   DIR/truth/depth, DIR/truth/normal   16-bit PNG per view
-//   DIR/photos/masks            with --passers-by: black where a photo shows something else than the scene
+//   DIR/photos/masks            with --passers-by: black where a photo shows something else than the scene; DIR/masks
+//                               with --posed
 //
 // With --posed DIR is itself a posed capture: DIR/transforms.json and DIR/images/*.png in place of DIR/photos.
 #include <OpenImageIO/imageio.h>
@@ -262,7 +263,7 @@ int main(int argc, char** argv) {
   app.add_option("--seed", options.seed, "Of everything random")->capture_default_str();
   app.add_flag("--posed", options.posed, "Write transforms.json and images/ in place of photos/");
   app.add_option("--exposure-drift", options.exposure_drift_ev,
-                 "Range of exposures in EV (also written as EXIF); white balance drifts by a third of it")
+                 "Range of exposures in EV (in EXIF, too, but with --posed); white balance drifts by a third")
       ->check(CLI::Range(0., 6.))
       ->capture_default_str();
   app.add_flag("--passers-by", options.passers_by, "Something else covers part of each photo, and masks say where");

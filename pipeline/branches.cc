@@ -163,7 +163,7 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options) {
       [](const std::string& text) { return std::string(text.empty() ? "give a time, as 90s, 10m, 1h" : ""); });
   add("--steps", options.steps, "N", "Training steps; not with --budget")->check(CheckPositive)->excludes(budget);
   add("--frames", options.frames, "N", "Of each video (default: as its picture moves)")->check(CheckFrames);
-  add("--masks", options.masks, "WHAT", "They leave out: ignored pixels, background; off")->check(CheckMasks);
+  add("--masks", options.masks, "WHAT", "Masks mean: ignore (default), background; or off")->check(CheckMasks);
   add("--max-image-size", options.max_image_size, "PX",
       "Shrink photos to this side (default: " + default_of("max-image-size", kMaxImageSize) + ")")
       ->check(CheckImageSize);

@@ -117,7 +117,7 @@ Decision ExposureCorrection(double spread_ev, bool unbounded) {
           "0.1 EV in an unbounded scene",
           needed   ? "one colour of a point cannot fit all photos"
           : differ ? "an object turned before its light changes its colours, too"
-                   : "the photos agree on the colours of points"};
+                   : "the photos agree, or have neither points nor EXIF to tell by"};
 }
 
 Decision SmallModel(double steps_per_second, double budget_seconds, bool unbounded) {

@@ -97,6 +97,7 @@ void Render(const Options& options, const Params& params) {
                       {"seconds_per_view", facts.seconds_per_view},
                       {"samples_per_ray", facts.samples_per_ray},
                       {"threads", n_threads},
+                      {"exposures", source.finish ? "of the nearest training views" : "the field's own"},
                       {"device", device.gpu ? "cuda" : "cpu"}};
   artifact.AddDecision(device.decision);
   artifact.AddOutput(kRendersFile);

@@ -199,11 +199,25 @@ ColmapModel PinholeModel(const ColmapModel& model, const std::vector<PosedPhoto>
   return pinhole;
 }
 
+// The model without what views show where they do not count.
+ColmapModel WithoutMasked(ColmapModel pinhole, const std::map<uint32_t, uint32_t>& view_of_image, const Scene& scene,
+                          const ImagePack& pack) {
+  for (auto& [id, point] : pinhole.points) {
+    std::erase_if(point.track, [&](const auto& element) {
+      const View& view = scene.views[view_of_image.at(element.first)];
+      if (!view.masked) return false;
+      const ColmapObservation& at = pinhole.images.at(element.first).observations[element.second];
+      if (!(at.x >= 0 && at.y >= 0 && at.x < view.width && at.y < view.height)) return true;
+      return pack.Pixels(view)[4 * (int64_t(at.y) * view.width + int64_t(at.x)) + 3] != 255;
+    });
+  }
+  return pinhole;
+}
+
 // Gives the views their colour gains.
 void MeasureExposures(const ColmapModel& pinhole, const std::vector<PosedPhoto>& posed,
-                      const std::map<uint32_t, uint32_t>& view_of_image, const fs::path& dir, Scene& scene,
+                      const std::map<uint32_t, uint32_t>& view_of_image, const ImagePack& pack, Scene& scene,
                       Json& facts) {
-  const ImagePack pack(dir);
   std::vector<WrittenExposure> written;
   for (const PosedPhoto& p : posed) {
     const ImageInfo& info = p.photo->info;
@@ -251,11 +265,12 @@ void WriteScene(const fs::path& ingest_dir, const fs::path& model_dir, const Pos
   const ColmapModel pinhole = PinholeModel(model, posed);
   std::map<uint32_t, uint32_t> view_of_image;
   for (size_t i = 0; i < posed.size(); ++i) view_of_image[posed[i].image->id] = uint32_t(i);
-  MeasureExposures(pinhole, posed, view_of_image, artifact.dir(), scene, artifact.facts());
+  const ImagePack pack(artifact.dir());
+  MeasureExposures(pinhole, posed, view_of_image, pack, scene, artifact.facts());
   SaveScene(scene, artifact.dir());
 
-  const std::vector<SparseDepth> depths =
-      MeasureSparseDepths(pinhole, view_of_image, scene, normalisation.scene_from_world);
+  const std::vector<SparseDepth> depths = MeasureSparseDepths(WithoutMasked(pinhole, view_of_image, scene, pack),
+                                                              view_of_image, scene, normalisation.scene_from_world);
   SaveSparseDepths(depths, artifact.dir());
   WritePly(model, normalisation.scene_from_world, artifact.dir() / "points.ply");
   fs::create_directories(artifact.dir() / "sparse");

@@ -219,7 +219,8 @@ TEST_F(VideoTest, SeveralVideosAndPhotosAreOneCapture) {
   const Capture capture = RunIngest({.masks = {}, .without_masks = false, .frames = 8, .n_threads = 2});
   EXPECT_EQ(capture.images.size(), 8u + 8 + 3);
   EXPECT_EQ(manifest_.facts["n_cameras"], 3);
-  EXPECT_TRUE(capture.rejected.empty());
+  ASSERT_EQ(capture.rejected.size(), 1u);
+  EXPECT_THAT(capture.rejected[0].reason, HasSubstr("live photo"));
   EXPECT_FALSE(capture.ordered);
   EXPECT_EQ(capture.images[0].path.parent_path(), "frames/a-2");  // the order of bytes
   EXPECT_EQ(capture.images[8].path.parent_path(), "frames/a");
