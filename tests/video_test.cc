@@ -241,6 +241,21 @@ TEST_F(VideoTest, WhatCannotBeDecodedIsNamedAndTheRestIsUsed) {
   EXPECT_EQ(cut.images.size(), 3u + 8);
 }
 
+// HD video has another matrix than JPEG files are read with.
+TEST_F(VideoTest, ColoursAreThoseOfTheVideo) {
+  const fs::path video = root_ / "red.mp4";
+  const std::string command =
+      "ffmpeg -nostdin -v error -y -f lavfi -i color=c=0xC02040:s=320x180:d=1 -vf "
+      "scale=out_color_matrix=bt709:out_range=tv,format=yuv420p -colorspace bt709 -color_range tv -c:v libx264 -crf 5 '" +
+      video.string() + "'";
+  ASSERT_EQ(std::system(command.c_str()), 0);
+  WriteFrames(video, {{{0}, {root_ / "f%d" / "frame.jpg"}, 0}}, root_);
+  const Image frame = ReadImageOriented(root_ / "f%d" / "frame.jpg");
+  EXPECT_NEAR(frame.pixels[0], 0xC0, 4);
+  EXPECT_NEAR(frame.pixels[1], 0x20, 4);
+  EXPECT_NEAR(frame.pixels[2], 0x40, 4);
+}
+
 TEST_F(VideoTest, AnotherVideoOfThatNameMakesIngestRunAgain) {
   WriteVideo("clip.mp4", Steadily(20));
   const std::string before = HashTree(root_ / "clip.mp4");
