@@ -231,8 +231,9 @@ void WriteFrames(const fs::path& video, const std::vector<FrameFiles>& wanted, c
       filter += (filter.empty() ? "select=" : "+") + std::string("eq(n\\,") + std::to_string(frame) + ")";
     }
     // As JPEG files are read: BT.601, all values; with square pixels.
-    filter += files.longer_side > 0 ? "," + Scale(files.longer_side) + ":" : ",scale=w='iw*sar':h=ih:";
-    filter += "in_color_matrix=auto:out_color_matrix=bt601:out_range=full,setsar=1,format=yuvj444p";
+    filter += ',';
+    filter += files.longer_side > 0 ? Scale(files.longer_side) : "scale=w='iw*sar':h=ih";
+    filter += ":in_color_matrix=auto:out_color_matrix=bt601:out_range=full,setsar=1,format=yuvj444p";
     folders.push_back(dir / ("frames." + std::to_string(folders.size())));
     fs::create_directories(folders.back());
     std::string folder = folders.back().string();
