@@ -4,7 +4,8 @@
     tests/bench/facilities.py DATA OUT [--only NAME…] [--seeds N…] [--steps N] [--work DIR]
 
 DATA holds photos/, scenes/ and colmap_models/ as tests/bench/captures.sh wants them; "none" leaves real captures out.
-Writes OUT.json and OUT.md. Poses are estimated once for each set of options that they depend on; training, rendering
+Writes OUT.json and OUT.md, after each capture; of captures that are not run, what OUT.json has is kept. Poses are
+estimated once for each set of options that they depend on; training, rendering
 and scoring are done for every seed. Pose errors are against the truth of made captures. Needs the built programs in
 build/bin."""
 import argparse
@@ -143,17 +144,17 @@ def number(value, digits=2):
     return "–" if value is None else f"{value:.{digits}f}"
 
 
-def markdown(results, args, machine):
+def markdown(results):
+    machines = sorted({f"{result['machine']} on {result['date']}" for result in results})
     lines = ["# What facilities for real captures are worth", "",
-             f"Made by `tests/bench/facilities.py` on {datetime.date.today()} on {machine}: {args.steps} steps of the "
-             f"preset small, photos of at most {args.max_image_size} px; means of seeds {', '.join(map(str, args.seeds))}"
-             " of training, poses estimated once. PSNR of held-out views as they are (of masked ones: the pixels that"
-             " count; whole image beside it), of their right halves, and of these with colours fitted on the left halves."
-             " Pose errors: median after alignment to the truth.", ""]
+             f"Made by `tests/bench/facilities.py` on {'; '.join(machines)}: the preset small, means over the seeds of "
+             "training, poses estimated once. PSNR of held-out views as they are (of masked ones: the pixels that count; "
+             "whole images beside it), of their right halves, and of these with colours fitted on the left halves. Pose "
+             "errors: median after alignment to the truth. Other work ran on the machine: seconds are no measure.", ""]
     for facility in dict.fromkeys(result["facility"] for result in results):
         lines += [f"## {facility}", "",
-                  "| capture | | registered | SfM, s | pose error | PSNR, dB | whole | right half | colours fitted | SSIM | training views | training, s |",
-                  "|---|---|---|---:|---|---:|---:|---:|---:|---:|---:|---:|"]
+                  "| capture | | registered | SfM, s | pose error | steps, px, seeds | PSNR, dB (each seed) | whole | right half | colours fitted | SSIM | training views | training, s |",
+                  "|---|---|---|---:|---|---|---:|---:|---:|---:|---:|---:|---:|"]
         for result in results:
             if result["facility"] != facility:
                 continue
@@ -163,7 +164,9 @@ def markdown(results, args, machine):
                 spread = f" ({row['exposure_spread_ev']:.2f} EV)" if facility == "exposure" else ""
                 lines.append(
                     f"| {result['name']}{spread} | {row['variant']} | {row['n_registered']} of {row['n_images']} | "
-                    f"{number(row.get('seconds_sfm'), 0)} | {error} | {number(mean(row, 'psnr'))} | "
+                    f"{number(row.get('seconds_sfm'), 0)} | {error} | {result['steps']}, {result['max_image_size']}, "
+                    f"{len(result['seeds'])} | {number(mean(row, 'psnr'))} "
+                    f"({', '.join(number(run['psnr']) for run in row['runs'])}) | "
                     f"{number(mean(row, 'psnr_whole'))} | {number(mean(row, 'psnr_right_half'))} | "
                     f"{number(mean(row, 'psnr_colour_fitted'))} | {number(mean(row, 'ssim'), 4)} | "
                     f"{number(mean(row, 'train_psnr'))} | {number(mean(row, 'seconds_training'), 0)} |")
@@ -184,16 +187,20 @@ def main():
     with open("/proc/cpuinfo") as file:
         model = next(line.split(":")[1].strip() for line in file if line.startswith("model name"))
     machine = f"{model}, {os.cpu_count()} cores"
-    results = []
+    found = read(args.out.with_suffix(".json"))["results"] if args.out.with_suffix(".json").exists() else []
+    by_name = {result["name"]: result for result in found}
     for case in CASES:
-        if not args.only or case[0] in args.only:
-            result = measure(case, args, args.work.resolve())
-            if result:
-                results.append(result)
-    args.out.with_suffix(".json").write_text(json.dumps(
-        {"date": str(datetime.date.today()), "machine": machine, "steps": args.steps, "seeds": args.seeds,
-         "max_image_size": args.max_image_size, "results": results}, indent=1) + "\n")
-    args.out.with_suffix(".md").write_text(markdown(results, args, machine))
+        if args.only and case[0] not in args.only:
+            continue
+        result = measure(case, args, args.work.resolve())
+        if result is None:
+            continue
+        result |= {"date": str(datetime.date.today()), "machine": machine, "steps": args.steps, "seeds": args.seeds,
+                   "max_image_size": args.max_image_size}
+        by_name[case[0]] = result
+        results = [by_name[name] for name, *_ in CASES if name in by_name]
+        args.out.with_suffix(".json").write_text(json.dumps({"results": results}, indent=1) + "\n")
+        args.out.with_suffix(".md").write_text(markdown(results))
 
 
 if __name__ == "__main__":
