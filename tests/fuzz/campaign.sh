@@ -65,7 +65,7 @@ while read -r target dictionary; do
     n_before=$(find "$findings" -type f | wc -l)
     TIMEFORMAT='%U %S'  # and a time-out that work of higher priority does not bring about
     used=$({ time ASAN_OPTIONS=quarantine_size_mb=16:malloc_context_size=20:fast_unwind_on_malloc=$fast_unwind \
-      "$program" -max_total_time="$left" -timeout=60 -rss_limit_mb=$((4 * most_mb)) -malloc_limit_mb=$most_mb -max_len=16384 \
+      "$program" -max_total_time="$left" -timeout=60 -report_slow_units=60 -rss_limit_mb=$((4 * most_mb)) -malloc_limit_mb=$most_mb -max_len=16384 \
       -dict="$root/tests/fuzz/dictionaries/$dictionary.dict" -artifact_prefix="$findings/" -print_final_stats=1 \
       "${inputs[@]}" >"$log" 2>&1 || true; } 2>&1)
     last() { sed -n "s|.*$1: *\([0-9]*\).*|\1|p" "$log" | tail -n 1; }
