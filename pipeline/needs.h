@@ -40,8 +40,8 @@ Decision Undistortion(double largest_displacement_px);
 Decision Contraction(bool box_given, bool has_alpha, std::optional<double> background_fraction);
 
 // All pairs are matched when there are few. Beyond that each photo is matched with those most like it at a first look
-// (sfm/first_look.h) and, where the order is known, with its next ones, so that pairs grow linearly with photos: ten
-// similar ones hold 96 to 99 % of each photo's five best partners of all (tests/bench/results/matching.md).
+// (sfm/first_look.h) and, in a capture in the order of taking, with its next ones, so that pairs grow linearly with
+// photos.
 Decision ExhaustiveMatching(int n_images, bool ordered);
 
 // The finest grid resolution that training settles. Few views leave finer cells to be learnt by heart, view by view,

@@ -24,7 +24,7 @@ using Clock = std::chrono::steady_clock;
 constexpr char kInlier_px[] = "2";
 
 // Median number of a photo's features below which fainter ones are taken, too, down to this contrast (COLMAP's usual is
-// 0.0067): photos of a smooth cup (800×600 px) have 776 instead of 335, and 60 of 77 instead of 29 register, at half
+// 0.0067): photos of a smooth cup (800×600 px) have 776 instead of 335, and 60 of 77 instead of 17 register, at half
 // the cost of searching them doubled in size, by which 61 do; textured ones have 1400 and more.
 constexpr int kFewFeatures = 500;
 constexpr double kFaint = 0.004;
