@@ -142,8 +142,8 @@ class VideoTest : public IngestTest {
   }
 
   static std::vector<double> Steadily(int n, double step = 6) {
-    std::vector<double> positions;
-    for (int i = 0; i < n; ++i) positions.push_back(step * i);
+    std::vector<double> positions(static_cast<size_t>(n));
+    for (int i = 0; i < n; ++i) positions[size_t(i)] = step * i;
     return positions;
   }
 };
