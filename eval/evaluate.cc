@@ -5,6 +5,7 @@
 #include <map>
 #include <sstream>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "eval/error_map.h"
@@ -32,7 +33,7 @@ std::optional<Mask> ForegroundOf(const StoredImage& photo) {
 
 // What the images of a scoring have in common, as the protocol states it.
 struct Common {
-  std::string background, split, resize;
+  std::string background, split, resize, exposures = {};
   bool masked = false;
 };
 
@@ -76,6 +77,7 @@ class Scoring {
     protocol["split"] = common.split;
     protocol["resize"] = common.resize;
     protocol["masked"] = common.masked;
+    if (!common.exposures.empty()) protocol["exposures"] = common.exposures;
     protocol["images"] = names;
     const Json metrics = MeanScores(scores, lpips, kNoViewReason);
     WriteJson(artifact.dir() / "metrics.json", {{"schema_version", kMetricsSchemaVersion},
@@ -85,7 +87,7 @@ class Scoring {
     artifact.facts() = metrics;
     artifact.facts()["protocol"] = protocol;
     artifact.AddDecision(lpips.decision);
-    for (const char* output : {"metrics.json", "truth", "error"}) {
+    for (const char* output : {"metrics.json", "truth", "error", "masks"}) {
       if (fs::exists(artifact.dir() / output)) artifact.AddOutput(output);
     }
     artifact.Commit();
@@ -136,13 +138,6 @@ void CheckSizes(const fs::path& first, const RgbImage& a, const fs::path& second
                    " " + SizeText(b.width, b.height) + "; both must have the same size.");
 }
 
-// Outside the mask, the background in both.
-void Hide(const Mask& mask, Background background, RgbImage& image) {
-  for (size_t i = 0; i < image.rgb.size(); ++i) {
-    if (mask[i / 3] == 0) image.rgb[i] = background == Background::kWhite ? 1 : 0;
-  }
-}
-
 }  // namespace
 
 void Evaluate(const fs::path& scene_dir, const fs::path& renders_dir, const fs::path& out_dir, const Params& params,
@@ -150,23 +145,35 @@ void Evaluate(const fs::path& scene_dir, const fs::path& renders_dir, const fs::
   const HeldOutPairs pairs(scene_dir, renders_dir);
   ArtifactWriter artifact("eval", out_dir, params, pairs.inputs());
   fs::create_directories(artifact.dir() / "truth");
+  if (pairs.masked()) fs::create_directories(artifact.dir() / "masks");
   Scoring scoring(pairs.size(), artifact.dir());
   SharedLpips shared_lpips(lpips.network.get());
   const std::vector<Score> scores = ScoreAll(pairs.size(), n_threads, [&](size_t i) {
     const View& view = pairs.ViewOf(i);
     const HeldOutPairs::Pair read = pairs.Read(i);
-    const std::string truth_path = "truth/" + view.id + ".png";
+    const std::string truth_path = "truth/" + view.id + ".png", mask_path = "masks/" + view.id + ".png";
     WriteRgbPng(artifact.dir() / truth_path, view.width, view.height, read.truth);
-    const ScoredPair pair{
-        FromEightBits(view.width, view.height, read.truth), read.rendered.rgb, {}, ForegroundOf(read.photo)};
+    ScoredPair pair{FromEightBits(view.width, view.height, read.truth), read.rendered.rgb, {}, {}};
+    if (read.counts) {
+      std::vector<uint8_t> mask;
+      for (const uint8_t counts : *read.counts) mask.insert(mask.end(), 3, counts != 0 ? 255 : 0);
+      WriteRgbPng(artifact.dir() / mask_path, view.width, view.height, mask);
+      Hide(*read.counts, Background::kBlack, pair);
+    } else {
+      pair.foreground = ForegroundOf(read.photo);
+    }
     const Score score =
         scoring.Add(i, view.id, pair, read.photo, read.rendered, shared_lpips, lpips.network != nullptr);
     scoring.entry(i)["name"] = view.name;
     scoring.entry(i)["truth"] = truth_path;
+    if (read.counts) scoring.entry(i)["mask"] = mask_path;
     scoring.entry(i)["rendered"] = EscapePath(fs::proximate(read.rendered_path, out_dir));
     return score;
   });
-  scoring.Finish(scores, lpips, {BackgroundName(pairs.background()), pairs.split_rule(), "area average"}, artifact);
+  scoring.Finish(
+      scores, lpips,
+      {BackgroundName(pairs.background()), pairs.split_rule(), "area average", pairs.exposures(), pairs.masked()},
+      artifact);
   if (scores.empty()) LogWarning(std::string("nothing was scored: ") + kNoViewReason);
 }
 
@@ -201,12 +208,12 @@ void Compare(const Folders& folders, const fs::path& out_dir, const Params& para
       const fs::path& mask_path = CounterpartOf(rendered_path, masks, folders.masks);
       const StoredImage mask = ReadImage(mask_path);
       CheckSizes(mask_path, mask.rgb, truth_path, truth.rgb);
-      pair.mask.emplace();
-      for (size_t p = 0; p < mask.rgb.rgb.size(); p += 3) pair.mask->push_back(mask.rgb.rgb[p] >= 0.5 ? 1 : 0);
-      if (std::count(pair.mask->begin(), pair.mask->end(), 1) == 0) {
+      Mask counts;
+      for (size_t p = 0; p < mask.rgb.rgb.size(); p += 3) counts.push_back(mask.rgb.rgb[p] >= 0.5 ? 1 : 0);
+      if (std::count(counts.begin(), counts.end(), 1) == 0) {
         throw InputError("Mask " + EscapePath(mask_path) + " is black all over; it leaves no pixel to compare.");
       }
-      for (RgbImage* image : {&pair.truth, &pair.rendered}) Hide(*pair.mask, folders.background, *image);
+      Hide(std::move(counts), folders.background, pair);
     }
     const std::string id = EscapePath(rendered_path.stem());
     const Score score = scoring.Add(i, id, pair, truth, rendered, shared_lpips, lpips.network != nullptr);
@@ -218,7 +225,7 @@ void Compare(const Folders& folders, const fs::path& out_dir, const Params& para
   const bool any_alpha = std::count(has_alpha.begin(), has_alpha.end(), 1) > 0;
   scoring.Finish(scores, lpips,
                  {BackgroundName(any_alpha || !masks.empty() ? folders.background : Background::kNone),
-                  "the images of a folder", "none", !masks.empty()},
+                  "the images of a folder", "none", "", !masks.empty()},
                  artifact);
   const auto text = [&](const char* key, int digits) {
     const Json& value = artifact.facts().at(key);

@@ -5,6 +5,7 @@
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "pipeline/json.h"
+#include "pipeline/log.h"
 
 namespace nrff {
 namespace {
@@ -63,14 +64,29 @@ HeldOutPairs::HeldOutPairs(const fs::path& scene_dir, const fs::path& renders_di
   inputs_ = {ArtifactInput(scene_dir, scene_manifest), ArtifactInput(renders_dir, renders_manifest)};
   split_rule_ = scene_manifest.facts.value("split_rule", std::string("as recorded in the scene's views"));
   scene_ = LoadScene(scene_dir);
-  held_out_ = scene_.ViewsOf(Split::kTest);
+  for (const int index : scene_.ViewsOf(Split::kTest)) {
+    const View& view = scene_.views[index];
+    const std::vector<double> alpha = PhotoOf(view, pack_.Pixels(view)).alpha;
+    if (view.masked && std::count(alpha.begin(), alpha.end(), 1) == 0) {
+      LogWarning("The mask of held-out view " + view.id + " (" + view.name + ") leaves no pixel at " +
+                 SizeText(view.width, view.height) + "; it is not scored.");
+    } else {
+      held_out_.push_back(index);
+    }
+  }
+  exposures_ = renders_manifest.facts.value("exposures", std::string("the field's own"));
   rendered_paths_ = RenderedPaths(renders_dir);
 }
 
 Background HeldOutPairs::background() const {
-  const bool has_alpha =
-      std::any_of(held_out_.begin(), held_out_.end(), [&](int index) { return scene_.views[index].channels == 4; });
+  const bool has_alpha = std::any_of(held_out_.begin(), held_out_.end(), [&](int index) {
+    return scene_.views[index].channels == 4 && !scene_.views[index].masked;
+  });
   return has_alpha ? BehindAlpha(scene_.background) : Background::kNone;
+}
+
+bool HeldOutPairs::masked() const {
+  return std::any_of(held_out_.begin(), held_out_.end(), [&](int index) { return scene_.views[index].masked; });
 }
 
 HeldOutPairs::Pair HeldOutPairs::Read(size_t i) const {
@@ -90,7 +106,13 @@ HeldOutPairs::Pair HeldOutPairs::Read(size_t i) const {
                      "; render the views again from this scene.");
   }
   pair.photo = PhotoOf(view, pack_.Pixels(view));
-  pair.truth = ToEightBits(Composited(pair.photo, BehindAlpha(scene_.background)));
+  if (!view.masked) {
+    pair.truth = ToEightBits(Composited(pair.photo, BehindAlpha(scene_.background)));
+    return pair;
+  }
+  pair.truth = ToEightBits(pair.photo.rgb);
+  pair.counts.emplace();
+  for (const double alpha : pair.photo.alpha) pair.counts->push_back(alpha == 1 ? 1 : 0);
   return pair;
 }
 

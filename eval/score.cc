@@ -4,6 +4,7 @@
 #include <atomic>
 #include <cmath>
 #include <future>
+#include <utility>
 
 #include "eval/error_map.h"
 #include "eval/image_file.h"
@@ -73,6 +74,16 @@ std::optional<double> SharedLpips::Distance(const RgbImage& truth, const RgbImag
   return network_->Distance(truth, rendered);
 }
 
+void Hide(Mask mask, Background background, ScoredPair& pair) {
+  pair.psnr_whole = Psnr(pair.truth, pair.rendered);
+  for (RgbImage* image : {&pair.truth, &pair.rendered}) {
+    for (size_t i = 0; i < image->rgb.size(); ++i) {
+      if (mask[i / 3] == 0) image->rgb[i] = background == Background::kWhite ? 1 : 0;
+    }
+  }
+  pair.mask = std::move(mask);
+}
+
 Score ScoreImages(const ScoredPair& pair, SharedLpips& lpips) {
   const Mask* mask = pair.mask ? &*pair.mask : nullptr;
   Score score;
@@ -80,6 +91,8 @@ Score ScoreImages(const ScoredPair& pair, SharedLpips& lpips) {
   score.ssim = Ssim(pair.truth, pair.rendered, mask);
   score.lpips = lpips.Distance(pair.truth, pair.rendered);
   score.psnr_quantised = Psnr(Quantised(pair.truth), Quantised(pair.rendered), mask);
+  score.psnr_whole = pair.psnr_whole;
+  score.colour_fit = FitColours(pair.truth, pair.rendered, mask);
   if (pair.foreground) {
     Mask subject = *pair.foreground;
     for (size_t i = 0; mask != nullptr && i < subject.size(); ++i) subject[i] = subject[i] != 0 && (*mask)[i] != 0;
@@ -119,17 +132,27 @@ Json ScoreToJson(const Score& score, bool with_lpips) {
   }
   json["psnr_quantised"] = Finite(score.psnr_quantised);
   if (score.psnr_foreground) json["psnr_foreground"] = Finite(*score.psnr_foreground);
+  if (score.psnr_whole) json["psnr_whole"] = Finite(*score.psnr_whole);
+  if (score.colour_fit) {
+    json["psnr_right_half"] = Finite(score.colour_fit->psnr_before);
+    json["psnr_colour_fitted"] = Finite(score.colour_fit->psnr_after);
+  }
   return json;
 }
 
 Json MeanScores(const std::vector<Score>& scores, const LpipsChoice& lpips, const std::string& nothing) {
-  Mean psnr, ssim, distance, quantised, foreground, squared_error;
+  Mean psnr, ssim, distance, quantised, foreground, whole, right_half, colour_fitted, squared_error;
   for (const Score& score : scores) {
     psnr.Add(PsnrOf(score.mean_squared_error));
     ssim.Add(score.ssim);
     distance.Add(score.lpips);
     quantised.Add(score.psnr_quantised);
     foreground.Add(score.psnr_foreground);
+    whole.Add(score.psnr_whole);
+    if (score.colour_fit) {
+      right_half.Add(score.colour_fit->psnr_before);
+      colour_fitted.Add(score.colour_fit->psnr_after);
+    }
     squared_error.Add(score.mean_squared_error);
   }
   Json metrics = {{"psnr", psnr.ToJson()},
@@ -139,7 +162,10 @@ Json MeanScores(const std::vector<Score>& scores, const LpipsChoice& lpips, cons
                   {"variants",
                    {{"psnr_pooled", scores.empty() ? Json() : Finite(PsnrOf(squared_error.ToJson().get<double>()))},
                     {"psnr_quantised", quantised.ToJson()},
-                    {"psnr_foreground", foreground.ToJson()}}}};
+                    {"psnr_foreground", foreground.ToJson()},
+                    {"psnr_whole", whole.ToJson()},
+                    {"psnr_right_half", right_half.ToJson()},
+                    {"psnr_colour_fitted", colour_fitted.ToJson()}}}};
   if (psnr.empty()) metrics["psnr_reason"] = scores.empty() ? nothing : "every image is identical to its photo";
   if (ssim.empty()) metrics["ssim_reason"] = scores.empty() ? nothing : "no window lies in any image";
   if (distance.empty()) {
@@ -167,7 +193,12 @@ Json MetricsProtocol(const LpipsNetwork* lpips) {
                    {"variants",
                     {{"psnr_pooled", "of the mean squared error over all images"},
                      {"psnr_quantised", "both images rounded to 8 bits first"},
-                     {"psnr_foreground", "over the pixels with an alpha of a half or more"}}},
+                     {"psnr_foreground", "over the pixels with an alpha of a half or more"},
+                     {"psnr_whole", "over the whole images, where masks leave something out of the other figures"},
+                     {"psnr_right_half", "over the right half of every image"},
+                     {"psnr_colour_fitted",
+                      "over the right half, with the rendered colours fitted to the photo's on the left half by an "
+                      "affine map of RGB"}}},
                    {"error_map", {{"measure", "root mean square over RGB"}, {"range", {0, kErrorMapRange}}}}};
   if (lpips != nullptr) {
     protocol["lpips"] = {{"network", lpips->network()}, {"version", lpips->version()}, {"hash", lpips->hash()}};

@@ -8,10 +8,12 @@
 #include <string>
 #include <vector>
 
+#include "eval/colour_fit.h"
 #include "eval/lpips.h"
 #include "eval/metrics.h"
 #include "pipeline/json.h"
 #include "pipeline/needs.h"
+#include "pipeline/scene.h"
 
 namespace nrff {
 
@@ -26,8 +28,9 @@ LpipsChoice ChooseLpips(const std::string& network);
 
 struct ScoredPair {
   RgbImage truth, rendered;
-  std::optional<Mask> mask;        // pixels that PSNR and SSIM are of
-  std::optional<Mask> foreground;  // pixels of the subject, where alpha says which they are
+  std::optional<Mask> mask;            // pixels that PSNR and SSIM are of; the others are the same in both (Hide)
+  std::optional<Mask> foreground;      // pixels of the subject, where alpha says which they are
+  std::optional<double> psnr_whole{};  // dB, before the mask hid anything
 };
 
 struct Score {
@@ -35,7 +38,8 @@ struct Score {
   std::optional<double> ssim;     // none when no window fits
   std::optional<double> lpips;    // none when the image is too small, or without a network
   double psnr_quantised = 0;      // dB, both rounded to 8 bits; infinite when equal, as the others
-  std::optional<double> psnr_foreground;
+  std::optional<double> psnr_foreground, psnr_whole;
+  std::optional<ColourFit> colour_fit;
 };
 
 // LPIPS for many threads, one at a time: OpenCV uses all cores for each.
@@ -49,12 +53,16 @@ class SharedLpips {
   std::mutex mutex_;
 };
 
+// Gives the pair the mask: keeps the PSNR of the whole images, then shows the background outside the mask in both.
+void Hide(Mask mask, Background background, ScoredPair& pair);
+
 Score ScoreImages(const ScoredPair& pair, SharedLpips& lpips);
 
 // Scores n images, `n_threads` at a time, with progress: score(i) for i in [0, n). The first exception is thrown again.
 std::vector<Score> ScoreAll(size_t n, int n_threads, const std::function<Score(size_t)>& score);
 
-// An image's {psnr, ssim, lpips, psnr_quantised, psnr_foreground, and reasons}.
+// An image's {psnr, ssim, lpips, psnr_quantised, psnr_foreground, psnr_whole, psnr_right_half,
+// psnr_colour_fitted, and reasons}.
 Json ScoreToJson(const Score& score, bool with_lpips);
 
 // {psnr, ssim, lpips, n_images, variants, and reasons}. `nothing`: why there is no image, where there is none.

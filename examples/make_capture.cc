@@ -4,6 +4,8 @@
 //   DIR/truth/transforms.json       exact poses (OpenGL axes) and intrinsics of the photos
 //   DIR/truth/truth.json            units, objects, files per view
 //   DIR/truth/depth, DIR/truth/normal   16-bit PNG per view
+//   DIR/photos/masks            with --passers-by: black where a photo shows something else than the scene; DIR/masks
+//                               with --posed
 //
 // With --posed DIR is itself a posed capture: DIR/transforms.json and DIR/images/*.png in place of DIR/photos.
 #include <OpenImageIO/imageio.h>
@@ -39,6 +41,8 @@ struct Options {
   uint32_t seed = 1;
   bool posed = false;
   Finish finish = Finish::kGlossy;
+  double exposure_drift_ev = 0;
+  bool passers_by = false;
   int n_threads = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
 };
 
@@ -47,12 +51,30 @@ std::string PhotoPath(const Options& options, int i) {
   return options.posed ? "images/" + ViewName(i) + ".png" : "photos/" + ViewName(i) + ".jpg";
 }
 
+// As COLMAP names them.
+std::string MaskPath(const Options& options, int i) {
+  const fs::path photo = PhotoPath(options, i);
+  return (options.posed ? photo.parent_path().parent_path() : photo.parent_path()) / "masks" /
+         (photo.filename().string() + ".png");
+}
+
 void WriteImage(const fs::path& path, const OIIO::ImageSpec& spec, const void* pixels) {
   const std::unique_ptr<OIIO::ImageOutput> file = OIIO::ImageOutput::create(path.string());
   if (!file || !file->open(path.string(), spec) || !file->write_image(spec.format, pixels) || !file->close()) {
     throw ResourceError(fmt::format("{} cannot be written ({}); check the disk's space and permissions",
                                     EscapePath(path), file ? file->geterror() : OIIO::geterror()));
   }
+}
+
+// Exposure rises and falls twice along the capture, white balance once, a third as far and the other way round for
+// blue. Gains of red, green and blue; EV of the exposure.
+double ExposureEv(const Options& options, int i) {
+  return options.exposure_drift_ev / 2 * std::sin(4 * std::numbers::pi * i / options.n_views);
+}
+Vec3d Gain(const Options& options, int i) {
+  const double balance = options.exposure_drift_ev / 6 * std::sin(2 * std::numbers::pi * i / options.n_views);
+  const double ev = ExposureEv(options, i);
+  return {std::exp2(ev + balance), std::exp2(ev), std::exp2(ev - balance)};
 }
 
 OIIO::ImageSpec PhotoSpec(const Options& options, int i) {
@@ -68,14 +90,42 @@ OIIO::ImageSpec PhotoSpec(const Options& options, int i) {
   spec.attribute("Exif:DateTimeOriginal", time);
   spec.attribute("Exif:FocalLength", static_cast<float>(kFocal35mm / kCropFactor));
   spec.attribute("Exif:FocalLengthIn35mmFilm", kFocal35mm);
-  spec.attribute("ExposureTime", 1.f / 250);
+  spec.attribute("ExposureTime", static_cast<float>(std::exp2(ExposureEv(options, i)) / 250));
   spec.attribute("FNumber", 5.6f);
   spec.attribute("Exif:ISOSpeedRatings", 100);
   return spec;
 }
 
+// A striped ellipse over a seventh of the picture, at another place and in other colours in each; its mask is black
+// there.
+void AddPasserBy(const Options& options, int i, Picture& picture, std::vector<uint8_t>& mask) {
+  const auto random = [&](int k) { return UnitFromHash(Hash(i, k, 17, options.seed)); };
+  const double cx = (0.2 + 0.6 * random(0)) * options.width, cy = (0.3 + 0.4 * random(1)) * options.height;
+  const double rx = 0.15 * options.width, ry = 0.3 * options.height, angle = std::numbers::pi * random(2);
+  const double stripe = 0.03 * options.height * (1 + random(3));
+  mask.assign(static_cast<size_t>(options.width) * options.height, 255);
+  for (int y = 0; y < options.height; ++y) {
+    for (int x = 0; x < options.width; ++x) {
+      const double dx = x + 0.5 - cx, dy = y + 0.5 - cy;
+      if (dx * dx / (rx * rx) + dy * dy / (ry * ry) > 1) continue;
+      const size_t pixel = static_cast<size_t>(y) * options.width + x;
+      mask[pixel] = 0;
+      const bool odd = std::fmod(dx * std::cos(angle) + dy * std::sin(angle) + 1e3 * stripe, 2 * stripe) < stripe;
+      for (int c = 0; c < 3; ++c) {
+        picture.rgb[3 * pixel + static_cast<size_t>(c)] = static_cast<uint8_t>(255 * random(4 + c + (odd ? 3 : 0)));
+      }
+    }
+  }
+}
+
 void WriteView(const Options& options, const World& world, const Camera& camera, int i, const fs::path& dir) {
-  const Picture picture = Render(world, camera, options.samples, options.seed + 7919 * static_cast<uint32_t>(i + 1));
+  Picture picture = Render(world, camera, options.samples, options.seed + 7919 * static_cast<uint32_t>(i + 1));
+  if (options.passers_by) {
+    std::vector<uint8_t> mask;
+    AddPasserBy(options, i, picture, mask);
+    WriteImage(dir / MaskPath(options, i), OIIO::ImageSpec(options.width, options.height, 1, OIIO::TypeDesc::UINT8),
+               mask.data());
+  }
   WriteImage(dir / PhotoPath(options, i), PhotoSpec(options, i), picture.rgb.data());
 
   std::vector<uint16_t> depth(picture.distance.size()), normal(picture.normal.size());
@@ -128,7 +178,9 @@ Json Truth(const Options& options, const World& world) {
                        {"reflectance", object.material.reflectance}});
   }
   for (int i = 0; i < options.n_views; ++i) {
+    const Vec3d gain = Gain(options, i);
     views.push_back({{"photo", "../" + PhotoPath(options, i)},
+                     {"gain", {gain.x(), gain.y(), gain.z()}},
                      {"depth", "depth/" + ViewName(i) + ".png"},
                      {"normal", "normal/" + ViewName(i) + ".png"}});
   }
@@ -138,6 +190,7 @@ Json Truth(const Options& options, const World& world) {
           {"depth_unit", kDepthUnit},
           {"depth", "distance along the ray through the pixel's centre = value x depth_unit"},
           {"normal", "(n + 1) / 2 x 65535, world axes, z up"},
+          {"gain", "of linear radiance: exposure and white balance"},
           {"objects", objects},
           {"views", views}};
 }
@@ -154,13 +207,15 @@ void MakeCapture(const Options& options) {
   RequireReplaceable(options.out);
   const World world = MakeStillLife(options.finish, options.seed);
   const double diagonal_px = std::hypot(options.width, options.height);
-  const std::vector<Camera> cameras = MakeOrbit(options.n_views, options.width, options.height,
-                                                kFocal35mm / kFullFrameDiagonalMm * diagonal_px, options.seed);
+  std::vector<Camera> cameras = MakeOrbit(options.n_views, options.width, options.height,
+                                          kFocal35mm / kFullFrameDiagonalMm * diagonal_px, options.seed);
+  for (int i = 0; i < options.n_views; ++i) cameras[static_cast<size_t>(i)].gain = Gain(options, i);
   fs::path partial = options.out;
   partial += ".partial";
   fs::remove_all(partial);
   for (const char* folder : {"truth/depth", "truth/normal"}) fs::create_directories(partial / folder);
   fs::create_directories((partial / PhotoPath(options, 0)).parent_path());
+  if (options.passers_by) fs::create_directories((partial / MaskPath(options, 0)).parent_path());
 
   Progress progress("ray tracing", options.n_views, "views");
   std::atomic<int> next_view = 0, n_done = 0;
@@ -207,6 +262,11 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--seed", options.seed, "Of everything random")->capture_default_str();
   app.add_flag("--posed", options.posed, "Write transforms.json and images/ in place of photos/");
+  app.add_option("--exposure-drift", options.exposure_drift_ev,
+                 "Range of exposures in EV (in EXIF, too, but with --posed); white balance drifts by a third")
+      ->check(CLI::Range(0., 6.))
+      ->capture_default_str();
+  app.add_flag("--passers-by", options.passers_by, "Something else covers part of each photo, and masks say where");
   app.add_option("--scene", options.finish, "diffuse: colours do not depend on the view; glossy (default)")
       ->transform(CLI::Transformer(
           std::map<std::string, nrff::Finish>{{"diffuse", nrff::Finish::kDiffuse}, {"glossy", nrff::Finish::kGlossy}}));

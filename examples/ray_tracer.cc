@@ -232,7 +232,7 @@ Picture Render(const World& world, const Camera& camera, int samples, uint32_t s
         const double v = (row + UnitFromHash(Hash(0, 1, 0, sample))) / grid;
         sum += Radiance(world, camera.RayThrough(x + u, y + v), 1 / camera.focal_px);
       }
-      const Vec3d srgb = ToneMap(sum / (grid * grid));
+      const Vec3d srgb = ToneMap(camera.gain.cwiseProduct(sum) / (grid * grid));
       const Hit hit = Intersect(world, camera.RayThrough(x + 0.5, y + 0.5));
       picture.distance[pixel] = static_cast<float>(hit.distance);
       for (int channel = 0; channel < 3; ++channel) {

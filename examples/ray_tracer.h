@@ -69,6 +69,7 @@ struct Camera {
   int width = 0, height = 0;  // px
   double focal_px = 0;        // principal point at the centre
   Eigen::Isometry3d world_from_camera = Eigen::Isometry3d::Identity();
+  Vec3d gain = Vec3d::Ones();  // of radiance before ToneMap: exposure and white balance
 
   Ray RayThrough(double x, double y) const;  // px
 };

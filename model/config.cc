@@ -42,15 +42,16 @@ NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(FieldConfig, levels, base_resolution, max_res
                                    appearance_channels, appearance_line_mean, density_scale, density_shift,
                                    decoded_features, spatial_layers, spatial_width, bottleneck_width, lobes_theta,
                                    lobes_phi, lobe_row_width, directional_encoding, directional_layers,
-                                   directional_width, activation)
+                                   directional_width, activation, corrected_views)
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(TrainConfig, steps, rays, max_rays, target_shaded, grid_rate, network_rate,
-                                   final_rate, beta1, beta2, epsilon, lazy_grids, average_from, average_interval,
-                                   reset_with_step, orientation_weight, density_l1_weight, density_l1_weight_later,
-                                   sparsity_weight, depth_weight, depth_rays, step_voxels, step_moments, step_ratio,
-                                   occupancy_resolution, occupancy_moments, occupancy_interval, occupancy_cells,
-                                   occupancy_threshold, occupancy_decay, occupancy_dilate, occupancy_min_views,
-                                   shrink_moments, weight_threshold_first, weight_threshold_last,
-                                   weight_threshold_moment, unknown_background)
+                                   correction_rate, final_rate, beta1, beta2, epsilon, lazy_grids, average_from,
+                                   average_interval, reset_with_step, orientation_weight, density_l1_weight,
+                                   density_l1_weight_later, sparsity_weight, depth_weight, depth_rays,
+                                   correction_weight, step_voxels, step_moments, step_ratio, occupancy_resolution,
+                                   occupancy_moments, occupancy_interval, occupancy_cells, occupancy_threshold,
+                                   occupancy_decay, occupancy_dilate, occupancy_min_views, shrink_moments,
+                                   weight_threshold_first, weight_threshold_last, weight_threshold_moment,
+                                   unknown_background)
 
 Json ToJson(const FieldConfig& config) { return config; }
 Json ToJson(const TrainConfig& config) { return config; }
@@ -60,6 +61,7 @@ namespace {
 // Throws std::invalid_argument naming what cannot be.
 void CheckConfig(const FieldConfig& config) {
   constexpr int kMost = 1 << 14;  // beyond any network that fits in memory
+  constexpr int kMostViews = 1 << 20;
   const std::pair<const char*, int> sizes[] = {{"levels", config.levels},
                                                {"max_resolution", config.max_resolution},
                                                {"spatial_layers", config.spatial_layers},
@@ -77,6 +79,9 @@ void CheckConfig(const FieldConfig& config) {
   if (config.decoded_features < 0 || config.decoded_features > kMost) {
     throw std::invalid_argument("decoded_features must not be negative, nor beyond " + std::to_string(kMost));
   }
+  if (config.corrected_views < 0 || config.corrected_views > kMostViews) {
+    throw std::invalid_argument("corrected_views must not be negative, nor beyond " + std::to_string(kMostViews));
+  }
   MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.density_channels);
   MakeGridLayout(config.levels, config.base_resolution, config.max_resolution, config.appearance_channels);
   MakeLobes(config.lobes_theta, config.lobes_phi);
@@ -88,14 +93,15 @@ void CheckConfig(const TrainConfig& config) {
   };
   check(config.steps > 0 && config.rays > 0, "steps and rays must be positive");
   check(config.max_rays >= config.rays, "max_rays must be at least rays");
-  check(config.grid_rate > 0 && config.network_rate > 0 && config.final_rate > 0 && config.epsilon > 0,
+  check(config.grid_rate > 0 && config.network_rate > 0 && config.correction_rate > 0 && config.final_rate > 0 &&
+            config.epsilon > 0,
         "rates and epsilon must be positive");
   check(config.beta1 >= 0 && config.beta1 < 1 && config.beta2 >= 0 && config.beta2 < 1, "betas lie in [0, 1)");
   check(config.average_from > 0 && config.average_interval > 0, "average_from and average_interval must be positive");
   check(config.average_from >= 1 || config.shrink_moments.empty() || config.average_from > config.shrink_moments.back(),
         "average_from must lie behind the last of shrink_moments");
   check(config.orientation_weight >= 0 && config.density_l1_weight >= 0 && config.density_l1_weight_later >= 0 &&
-            config.sparsity_weight >= 0 && config.depth_weight >= 0,
+            config.sparsity_weight >= 0 && config.depth_weight >= 0 && config.correction_weight >= 0,
         "weights of losses must not be negative");
   check(config.depth_rays > 0, "depth_rays must be positive");
   check(config.step_ratio > 0 && config.step_voxels.size() == config.step_moments.size() + 1,
@@ -124,7 +130,8 @@ bool SameKind(const Json& had, const Json& given) {
 
 FieldConfig FieldConfigFromJson(const Json& json, const std::string& where) {
   try {
-    Json complete = {{"decoded_features", 0}, {"directional_encoding", "ree"}};  // models of 0.2 do not name them
+    // What models of earlier versions do not name.
+    Json complete = {{"decoded_features", 0}, {"directional_encoding", "ree"}, {"corrected_views", 0}};
     complete.update(json);
     const auto config = complete.get<FieldConfig>();
     CheckConfig(config);
@@ -265,6 +272,18 @@ Decision FitDepths(Preset& preset, size_t n_depths, bool unbounded, std::optiona
   }
   Force(decision, forced);
   weight = !decision.needed ? 0 : weight > 0 ? weight : kDepthWeight;
+  return decision;
+}
+
+Decision FitCorrections(Preset& preset, const std::string& name, const Scene& scene, std::optional<bool> forced) {
+  const std::vector<int> views = scene.ViewsOf(Split::kTrain);
+  Decision decision = needs::ExposureCorrection(ExposureSpread(scene), scene.unbounded);
+  if (name == "paper" && decision.needed) {
+    decision.needed = false;
+    decision.reason = "the preset keeps to the published method";
+  }
+  Force(decision, forced);
+  preset.field.corrected_views = decision.needed ? int(views.size()) : 0;
   return decision;
 }
 

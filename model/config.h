@@ -14,6 +14,7 @@
 #include "model/kernels/shading_tile.h"
 #include "pipeline/json.h"
 #include "pipeline/needs.h"
+#include "pipeline/scene.h"
 
 namespace nrff {
 
@@ -39,6 +40,9 @@ struct FieldConfig {
   DirectionalEncoding directional_encoding = DirectionalEncoding::kRee;  // lobes and their rows: with kRee alone
   int directional_layers = 6, directional_width = 256;
   Activation activation = Activation::kGelu;
+  // Training views whose colours have a correction of their own (render/kernels/colour_correction.h), in the order of
+  // the scene's training views; 0: none.
+  int corrected_views = 0;
 
   bool operator==(const FieldConfig&) const = default;
 };
@@ -52,7 +56,7 @@ struct TrainConfig {
   int64_t target_shaded = 0;
 
   // Adam (kernels/adam.h). Rates fall log-linearly, by final_rate over the whole training.
-  double grid_rate = 0.02, network_rate = 1e-3, final_rate = 0.1;
+  double grid_rate = 0.02, network_rate = 1e-3, correction_rate = 1e-3, final_rate = 0.1;
   double beta1 = 0.9, beta2 = 0.99, epsilon = 1e-8;
   bool lazy_grids = false;
   // From this moment on the parameters are summed every average_interval steps, and the model is their mean: it lies
@@ -67,6 +71,7 @@ struct TrainConfig {
   double sparsity_weight = 0;             // losses.h
   double depth_weight = 0;                // losses.h, on depth_rays rays through sparse points per step
   int depth_rays = 64;
+  double correction_weight = 1e-3;  // losses.h, of fields with corrected_views
 
   // Marching step = step_ratio · (volume of the box)^(1/3) / step_voxels[i]; i grows at each of step_moments. The box
   // of an unbounded scene is that of contracted space, of side 4.
@@ -93,6 +98,11 @@ struct TrainConfig {
   double unknown_background = 0.5;  // grey level behind everything where the scene names none
 };
 
+// At one moment.
+struct LearningRates {
+  double grid = 0, network = 0, correction = 0;
+};
+
 Json ToJson(const FieldConfig& config);
 Json ToJson(const TrainConfig& config);
 // Throws CorruptError naming `where` and the key on a missing key, a wrong type or an impossible value.
@@ -114,6 +124,10 @@ Preset MakePreset(const std::string& name, bool unbounded);
 // without blanks. Throws UsageError naming the setting when there is no such key, or the value is of another type or
 // impossible.
 void ApplySettings(const std::string& settings, Preset& preset);
+
+// Gives every training view a colour correction where needs::ExposureCorrection says so; says what was decided. `paper`
+// keeps to the published method unless forced.
+Decision FitCorrections(Preset& preset, const std::string& name, const Scene& scene, std::optional<bool> forced = {});
 
 // Sets depth_weight to 0 where the depths are not needed, to a value where they are forced and the preset has none;
 // says what was decided. Throws InputError when they are forced and there are none.

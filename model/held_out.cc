@@ -11,13 +11,16 @@ namespace {
 
 using torch::Tensor;
 
-// Every `stride`-th pixel of both axes, from the middle of the first stride: [n, 3] int32 (0, ix, iy).
-Tensor Lattice(const View& view, int n_most) {
+// Every `stride`-th pixel of both axes, from the middle of the first stride, where it counts: [n, 3] int32 (0, ix, iy).
+Tensor Lattice(const View& view, const uint8_t* image, int n_most) {
   int stride = 1;
   while ((view.width / stride) * int64_t(view.height / stride) > n_most) ++stride;
   std::vector<int32_t> pixels;
   for (int y = stride / 2; y < view.height; y += stride) {
-    for (int x = stride / 2; x < view.width; x += stride) pixels.insert(pixels.end(), {0, x, y});
+    for (int x = stride / 2; x < view.width; x += stride) {
+      const uint8_t* pixel = image + (int64_t(y) * view.width + x) * view.channels;
+      if (!view.masked || pixel[3] == 255) pixels.insert(pixels.end(), {0, x, y});
+    }
   }
   return at::tensor(pixels, torch::kInt).view({-1, 3});
 }
@@ -29,16 +32,19 @@ HeldOutViews::HeldOutViews(const Scene& scene, const ImagePack& pack, double bac
   const size_t n_views = std::min<size_t>(held_out.size(), kMostViews);
   for (size_t i = 0; i < n_views; ++i) {
     const View& view = scene.views[held_out[i * held_out.size() / n_views]];
-    batches_.push_back(PixelSource({view}, pack, background).At(Lattice(view, kMostPixels)));
+    const Tensor lattice = Lattice(view, pack.Pixels(view), kMostPixels);
+    if (lattice.size(0) == 0) continue;
+    views_.push_back(view);
+    batches_.push_back(PixelSource({view}, pack, background).At(lattice));
   }
 }
 
-double HeldOutViews::Psnr(const std::function<Tensor(const Rays& rays)>& render) const {
+double HeldOutViews::Psnr(const Render& render) const {
   const c10::NoGradGuard no_grad;
   double sum = 0;
-  for (const PixelSource::Batch& batch : batches_) {
-    const Tensor rgb = render(batch.rays).clamp(0, 1);
-    sum += -10 * std::log10(at::mse_loss(rgb, batch.target).item<double>());
+  for (size_t i = 0; i < batches_.size(); ++i) {
+    const Tensor rgb = render(views_[i], batches_[i].rays).clamp(0, 1);
+    sum += -10 * std::log10(at::mse_loss(rgb, batches_[i].target).item<double>());
   }
   return sum / double(batches_.size());
 }

@@ -24,13 +24,15 @@ class HeldOutViews {
   HeldOutViews(const Scene& scene, const ImagePack& pack, double background);
 
   bool empty() const { return batches_.empty(); }
-  // render: rays → their colours [n, 3].
-  double Psnr(const std::function<torch::Tensor(const Rays& rays)>& render) const;
+  // render: rays of a view → their colours [n, 3].
+  using Render = std::function<torch::Tensor(const View& view, const Rays& rays)>;
+  double Psnr(const Render& render) const;
   // For facts.curve_protocol.
   std::string Protocol() const;
 
  private:
-  std::vector<PixelSource::Batch> batches_;  // one per view
+  std::vector<View> views_;
+  std::vector<PixelSource::Batch> batches_;  // of views_
 };
 
 }  // namespace nrff

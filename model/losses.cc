@@ -23,4 +23,6 @@ Tensor DepthLoss(const Tensor& weights, const Tensor& t, const Tensor& ray_index
   return 1 - (weights * at::exp(-0.5 * off.square())).sum() / double(distance.numel());
 }
 
+Tensor CorrectionLoss(const Tensor& corrections) { return corrections.square().sum() / double(corrections.size(0)); }
+
 }  // namespace nrff

@@ -22,4 +22,8 @@ torch::Tensor SparsityLoss(const torch::Tensor& sigma, const torch::Tensor& delt
 torch::Tensor DepthLoss(const torch::Tensor& weights, const torch::Tensor& t, const torch::Tensor& ray_index,
                         const torch::Tensor& distance, const torch::Tensor& spread);
 
+// Views should show the scene's own colours as far as they can, which also says what these are: mean over views of the
+// squared corrections [n_views, 12].
+torch::Tensor CorrectionLoss(const torch::Tensor& corrections);
+
 }  // namespace nrff

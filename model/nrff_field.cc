@@ -10,6 +10,7 @@
 #include "model/directional_encoding.h"
 #include "model/grid_crop.h"
 #include "model/kernels/tile_rows.h"
+#include "render/kernels/colour_correction.h"
 #include "render/kernels/random.h"
 
 namespace nrff {
@@ -106,6 +107,9 @@ NrffField::NrffField(const FieldConfig& config, torch::Dtype type, uint64_t seed
     directional_ = MakeMlp("directional_mlp", config.bottleneck_width + EncodingFeatures(config) + 1,
                            config.directional_width, config.directional_layers, 3);
   }
+  if (config.corrected_views > 0) {
+    colour_corrections_ = AddParameter("colour_corrections", {config.corrected_views, kCorrectionParameters}, false);
+  }
   density_l1_weights_ = at::empty({density_layout().n_parameters}, type);
   const double n_factors = 2. * density_layout().n_products();
   ForEachFactor(density_layout(), [&](int64_t offset, int64_t n) {
@@ -143,7 +147,7 @@ void NrffField::Initialise(uint64_t seed) {
     const uint64_t stream = StreamAt(RandomStream::kInitialisation, p);
     if (parameters_[p].is_grid) {
       Fill(value, [&](int64_t i) { return kGridStd * Normal(seed, stream, i); });
-    } else {
+    } else if (!value.is_same(colour_corrections_)) {                      // which start at none
       if (value.dim() == 2) bound = 1 / std::sqrt(double(value.size(1)));  // a bias follows its weight
       Fill(value, [&](int64_t i) { return bound * (2 * double(Uniform(seed, stream, i)) - 1); });
     }

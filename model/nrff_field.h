@@ -47,6 +47,9 @@ class NrffField : public RadianceField {
   const float* density_parameters() const { return density_grid_.const_data_ptr<float>(); }
   const float* appearance_parameters() const { return appearance_grid_.const_data_ptr<float>(); }
 
+  // [corrected_views, 12]; undefined where there are none.
+  const torch::Tensor& colour_corrections() const { return colour_corrections_; }
+
   // The stages of Density and Shade.
   torch::Tensor DensityFeature(const torch::Tensor& points) const;       // [n]
   torch::Tensor DensityFromFeature(const torch::Tensor& feature) const;  // [n] sigma
@@ -66,7 +69,7 @@ class NrffField : public RadianceField {
   torch::Tensor DensityL1() const;
 
   struct Parameter {
-    std::string name;     // "density_grid", "appearance_grid", "spatial_mlp.0.weight", …
+    std::string name;     // "density_grid", "appearance_grid", "spatial_mlp.0.weight", …, "colour_corrections"
     torch::Tensor value;  // a leaf that requires gradients
     bool is_grid = false;
   };
@@ -100,7 +103,7 @@ class NrffField : public RadianceField {
   GridLayoutPtr density_layout_, appearance_layout_;
   LobesPtr lobes_;
   std::vector<Parameter> parameters_;
-  torch::Tensor density_grid_, appearance_grid_;
+  torch::Tensor density_grid_, appearance_grid_, colour_corrections_;
   torch::Tensor density_l1_weights_;  // of |density_grid_|, summing to 1
   Mlp spatial_, directional_;         // spatial_ begins with the decoder, where there is one
   Linear lobe_layer_;

@@ -26,8 +26,22 @@ double BackgroundLevel(const Scene& scene, double unknown_background) {
 
 PixelSource::PixelSource(std::vector<View> views, const ImagePack& pack, double background)
     : views_(std::move(views)), pack_(pack), background_(background), pixels_before_{0} {
-  for (const View& view : views_) pixels_before_.push_back(pixels_before_.back() + uint64_t(view.width) * view.height);
-  if (pixels_before_.back() == 0) throw InputError("the scene has no training views; nothing can be learnt from it");
+  for (const View& view : views_) {
+    first_row_.push_back(rows_before_.size());
+    uint64_t n = uint64_t(view.width) * view.height;
+    if (view.masked) {
+      const uint8_t* pixel = pack_.Pixels(view);
+      n = 0;
+      for (int y = 0; y < view.height; ++y) {
+        rows_before_.push_back(uint32_t(n));
+        for (int x = 0; x < view.width; ++x, pixel += view.channels) n += pixel[3] == 255;
+      }
+      rows_before_.push_back(uint32_t(n));
+    }
+    pixels_before_.push_back(pixels_before_.back() + n);
+  }
+  if (pixels_before_.back() == 0)
+    throw InputError("the scene has no pixel that counts in a training view; nothing can be learnt from it");
 }
 
 PixelSource::Batch PixelSource::Draw(int64_t n, uint64_t seed, uint64_t step) const {
@@ -40,8 +54,13 @@ PixelSource::Batch PixelSource::Draw(int64_t n, uint64_t seed, uint64_t step) co
     const auto view = int32_t(after - pixels_before_.begin()) - 1;
     const auto within = int32_t(drawn - pixels_before_[view]);
     out[3 * i] = view;
-    out[3 * i + 1] = within % views_[view].width;
-    out[3 * i + 2] = within / views_[view].width;
+    if (const View& of = views_[view]; of.masked) {
+      CountingPixel(pack_.Pixels(of), rows_before_.data() + first_row_[view], of.width, of.height, uint32_t(within),
+                    out + 3 * i + 1, out + 3 * i + 2);
+    } else {
+      out[3 * i + 1] = within % of.width;
+      out[3 * i + 2] = within / of.width;
+    }
   }
   return At(pixels);
 }
@@ -49,7 +68,8 @@ PixelSource::Batch PixelSource::Draw(int64_t n, uint64_t seed, uint64_t step) co
 PixelSource::Batch PixelSource::At(const Tensor& pixels) const {
   const int64_t n = pixels.size(0);
   const auto* pixel = pixels.const_data_ptr<int32_t>();
-  Batch batch{RaysThroughPixels(views_, pixels, torch::kFloat), at::empty({n, 3}, torch::kFloat)};
+  Batch batch{RaysThroughPixels(views_, pixels, torch::kFloat), at::empty({n, 3}, torch::kFloat),
+              pixels.select(1, 0).contiguous()};
   auto* target = batch.target.mutable_data_ptr<float>();
   const auto background = float(background_);
   for (int64_t i = 0; i < n; ++i) {

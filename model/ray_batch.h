@@ -17,15 +17,16 @@ double BackgroundLevel(const Scene& scene, double unknown_background);
 // The pixels of some views. Keeps references to both arguments.
 class PixelSource {
  public:
-  // Throws InputError when there is no pixel.
+  // Throws InputError when there is no pixel, or none that counts.
   PixelSource(std::vector<View> views, const ImagePack& pack, double background);
 
   struct Batch {
     Rays rays;
     torch::Tensor target;  // [n, 3] in [0, 1]
+    torch::Tensor view;    // [n] int32, index into views()
   };
 
-  // n pixels, uniform over all pixels of all views, from the stream (seed, kBatch at step).
+  // n pixels, uniform over all pixels that count of all views, from the stream (seed, kBatch at step).
   Batch Draw(int64_t n, uint64_t seed, uint64_t step) const;
 
   // pixels [n, 3] int32: (view, ix, iy).
@@ -33,12 +34,18 @@ class PixelSource {
 
   const std::vector<View>& views() const { return views_; }
   const ImagePack& pack() const { return pack_; }
+  // [n_views + 1]: how many count in the views before.
+  const std::vector<uint64_t>& pixels_before() const { return pixels_before_; }
+  // CountingPixel's rows_before of masked views, one after the other in the order of views().
+  const std::vector<uint32_t>& rows_before() const { return rows_before_; }
 
  private:
   std::vector<View> views_;
   const ImagePack& pack_;
   double background_;
-  std::vector<uint64_t> pixels_before_;  // [n_views + 1]
+  std::vector<uint64_t> pixels_before_;
+  std::vector<uint32_t> rows_before_;
+  std::vector<size_t> first_row_;  // of a view in rows_before_
 };
 
 }  // namespace nrff

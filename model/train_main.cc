@@ -51,6 +51,8 @@ int main(int argc, char** argv) {
   app.add_option("--seed", request.seed, "of every random number (0)")->group(group);
   nrff::AddForcedOption(app, "--fine-levels", request.fine_levels, "on", "off", "keep all grid levels of the preset");
   nrff::AddForcedOption(app, "--sparse-depth", request.sparse_depth, "on", "off", "learn from depths of sparse points");
+  nrff::AddForcedOption(app, "--exposure-correction", request.exposure_correction, "on", "off",
+                        "give training views colours of their own");
   app.add_option("--device", request.device, "where to compute")
       ->group(group)
       ->check(CLI::IsMember({"auto", "cpu", "cuda"}));

@@ -10,8 +10,10 @@
 
 #include "model/kernels/adam.h"
 #include "model/schedule.h"
+#include "model/view_colours.h"
 #include "pipeline/error.h"
 #include "pipeline/log.h"
+#include "render/kernels/colour_correction.h"
 
 namespace nrff {
 namespace {
@@ -72,12 +74,23 @@ Trainer::Trainer(const Scene& scene, const ImagePack& pack, const std::vector<Sp
              SceneMap::FromBox(scene.aabb_min, scene.aabb_max, scene.unbounded), options.seed),
       step_(state_.field) {
   state_.n_rays = preset_.train.rays;
+  StartCorrections();
   if (scene_.unbounded && preset_.train.occupancy_min_views > 0) {
     const int n_views = int(pixels_.views().size());
     state_.occupancy.MarkSeen(pixels_.views(), state_.map, scene_.near,
                               std::min(n_views, preset_.train.occupancy_min_views));
   }
   if (options.gpu) gpu_ = std::make_unique<GpuTraining>(options.gpu, state_, preset_.train, pixels_, depths_);
+}
+
+void Trainer::StartCorrections() {
+  if (preset_.field.corrected_views == 0) return;
+  const c10::NoGradGuard no_grad;
+  auto* correction = state_.field.colour_corrections().mutable_data_ptr<float>();
+  for (const View& view : pixels_.views()) {
+    for (int c = 0; c < kCorrectionRows; ++c) correction[kCorrectionColumns * c + c] = float(view.colour_gain[c] - 1);
+    correction += kCorrectionParameters;
+  }
 }
 
 double Trainer::Progress() const {
@@ -101,12 +114,18 @@ RenderOptions Trainer::EvaluationOptions() const {
   return options;
 }
 
-Tensor Trainer::RenderMean(const Rays& rays) {
+Tensor Trainer::RenderMean(const View& view, const Rays& rays) {
   const c10::NoGradGuard no_grad;
   const RenderOptions options = EvaluationOptions();
   state_.SwapAverage();
-  Tensor rgb = gpu_ ? gpu_->Render(state_, rays, options)
-                    : RenderRays(state_.field, state_.occupancy, state_.map, rays, options).rgb;
+  const RenderResult result = gpu_ ? gpu_->Render(state_, rays, options)
+                                   : RenderRays(state_.field, state_.occupancy, state_.map, rays, options);
+  Tensor rgb = result.rgb.contiguous();
+  const ViewColours colours(state_.field, pixels_.views());
+  if (!colours.empty()) {
+    CorrectColours(colours.Of(view), background_, rgb.size(0), result.opacity.contiguous().const_data_ptr<float>(),
+                   rgb.mutable_data_ptr<float>());
+  }
   state_.SwapAverage();
   if (gpu_) gpu_->UploadParameters(state_);
   return rgb;
@@ -189,7 +208,8 @@ void Trainer::Step() {
                                               ? config.density_l1_weight
                                               : config.density_l1_weight_later,
                             .sparsity = config.sparsity_weight,
-                            .depth = depths_.empty() ? 0 : config.depth_weight};
+                            .depth = depths_.empty() ? 0 : config.depth_weight,
+                            .correction = config.correction_weight};
   if (gpu_) {
     StepOnGpu(progress, options, weights);
   } else {
@@ -225,8 +245,7 @@ void Trainer::StepOnCpu(double progress, const RenderOptions& options, const Los
 void Trainer::StepOnGpu(double progress, const RenderOptions& options, const LossWeights& weights) {
   const GpuTraining::Batch batch{state_.n_rays, weights.depth > 0 ? preset_.train.depth_rays : 0, options_.seed,
                                  uint64_t(state_.step)};
-  const auto found = gpu_->Step(batch, state_.map, options, weights, preset_.train,
-                                {Rate(progress, /*grid=*/true), Rate(progress, /*grid=*/false)});
+  const auto found = gpu_->Step(batch, state_.map, options, weights, preset_.train, Rates(progress));
   if (AveragesAt(progress)) gpu_->AddToAverage(++state_.n_averaged);
   if (found) Account(*found);
 }
@@ -372,18 +391,22 @@ Json Trainer::Evidence() {
           {"parameters", parameters}};
 }
 
-double Trainer::Rate(double progress, bool grid) const {
+LearningRates Trainer::Rates(double progress) const {
   const TrainConfig& config = preset_.train;
-  return state_.rate_scale * RateFactor(config, progress, state_.progress_at_reset) *
-         (grid ? config.grid_rate : config.network_rate);
+  const double factor = state_.rate_scale * RateFactor(config, progress, state_.progress_at_reset);
+  return {factor * config.grid_rate, factor * config.network_rate, factor * config.correction_rate};
 }
 
 void Trainer::Optimise(double progress) {
   const TrainConfig& config = preset_.train;
   ++state_.adam_t;
   const std::vector<NrffField::Parameter>& parameters = state_.field.parameters();
+  const LearningRates rates = Rates(progress);
   for (size_t i = 0; i < parameters.size(); ++i) {
-    const AdamOptions options{.learning_rate = Rate(progress, parameters[i].is_grid),
+    const bool correction = parameters[i].value.is_same(state_.field.colour_corrections());
+    const AdamOptions options{.learning_rate = parameters[i].is_grid ? rates.grid
+                                               : correction          ? rates.correction
+                                                                     : rates.network,
                               .beta1 = config.beta1,
                               .beta2 = config.beta2,
                               .epsilon = config.epsilon,

@@ -58,8 +58,9 @@ class Trainer {
   // How images of the present model are rendered.
   RenderOptions EvaluationOptions() const;
 
-  // Colours [n, 3] of rays by the mean of the parameters, or by the parameters where there is none. After Sync.
-  torch::Tensor RenderMean(const Rays& rays);
+  // Colours [n, 3] of rays of a view, in its exposure, by the mean of the parameters, or by the parameters where there
+  // is none. After Sync.
+  torch::Tensor RenderMean(const View& view, const Rays& rays);
 
   // Throws TrainingDiverged when a parameter or a moment of Adam's is not finite. After Sync.
   void CheckState() const;
@@ -78,6 +79,8 @@ class Trainer {
     int64_t step = 0, n_rays = 0;
     std::string not_finite;  // what is, or empty
   };
+  // Of the views' colours: from the gains that the scene gives.
+  void StartCorrections();
   void FollowSchedule(double progress);
   void ResetAdam();
   void Settle();    // accounts for all steps that were queued
@@ -94,7 +97,7 @@ class Trainer {
   // "level 3 (40 nodes) of density_grid" for the first element that is not finite; empty where there is none.
   std::string NotFiniteIn(const torch::Tensor& values, size_t parameter) const;
   std::string Where(size_t parameter, int64_t element) const;
-  double Rate(double progress, bool grid) const;
+  LearningRates Rates(double progress) const;
   void Optimise(double progress);
 
   const Scene& scene_;

@@ -66,6 +66,7 @@ Preset ChoosePreset(const TrainingRequest& request, const std::string& name, con
   Preset preset = MakePreset(name, scene.unbounded);
   ApplyRequest(request, preset);
   const int n_views = int(scene.ViewsOf(Split::kTrain).size());
+  decisions.push_back(FitCorrections(preset, name, scene, request.exposure_correction));
   decisions.push_back(FitDepths(preset, n_depths, scene.unbounded, request.sparse_depth));
   decisions.push_back(FitLevelsToViews(preset, name, n_views, request.fine_levels));
   return preset;
@@ -131,7 +132,7 @@ void Evaluate(const HeldOutViews& held_out, Trainer& trainer) {
   TrainState& state = trainer.state();
   const auto start = Clock::now();
   trainer.Sync();
-  const double psnr = held_out.Psnr([&](const Rays& rays) { return trainer.RenderMean(rays); });
+  const double psnr = held_out.Psnr([&](const View& view, const Rays& rays) { return trainer.RenderMean(view, rays); });
   if (std::isnan(psnr) || std::isnan(trainer.TrainPsnr())) {
     throw TrainingDiverged(std::string("the model shows colours that are no numbers in ") +
                            (std::isnan(psnr) ? "held-out views" : "every training batch") + " by step " +

@@ -7,12 +7,15 @@
 #include <cmath>
 
 #include "model/kernels/tile_rows.h"
+#include "render/kernels/colour_correction.h"
 #include "render/kernels/compositing.h"
 #include "render/kernels/compositing_ray.h"
 #include "render/kernels/random.h"
 
 namespace nrff {
 namespace {
+
+using torch::Tensor;
 
 constexpr int64_t kTileSamples = 224;  // shaded together: enough to pay for a layer's set-up, few enough for the cache
 
@@ -89,6 +92,7 @@ TrainingStep::Result TrainingStep::Run(const PixelSource::Batch& pixels, const D
   {
     Thread& thread = *threads_[omp_get_thread_num()];
     thread.gradients.Clear();
+    thread.d_corrections.assign(size_t(kCorrectionParameters) * field_.config().corrected_views, 0.F);
     thread.mse = thread.orientation = thread.sparsity = thread.depth = 0;
 #pragma omp for schedule(dynamic, 1)
     for (int64_t b = 0; b < n_blocks; ++b) {
@@ -129,6 +133,7 @@ TrainingStep::Result TrainingStep::Run(const PixelSource::Batch& pixels, const D
     for (size_t i = 0; i < scatter_tasks_.size(); ++i) Scatter(scatter_tasks_[i], weights.density_l1);
   }
   ReduceNetworks();
+  if (field_.config().corrected_views > 0) ReduceCorrections(weights.correction);
   for (int i = 0; i < n_team_; ++i) {
     const Thread* thread = threads_[i].get();
     result.mse += thread->mse;
@@ -206,6 +211,10 @@ void TrainingStep::Composite(const Batch& batch, const Tile& tile, Thread& threa
   float *d_rgb = shading.d_rgb(), *d_normals = shading.d_normals();
   const float* target = batch.pixels.target.const_data_ptr<float>() + 3 * batch.first_ray(tile.block);
   const auto background = float(batch.options.background);
+  const float* corrections =
+      field_.config().corrected_views > 0 ? field_.colour_corrections().const_data_ptr<float>() : nullptr;
+  const int32_t* views =
+      corrections == nullptr ? nullptr : batch.pixels.view.const_data_ptr<int32_t>() + batch.first_ray(tile.block);
   const auto mse_scale = float(2 / (3 * double(batch.n_rays)));
   const double per_shaded = 1 / double(std::max<int64_t>(batch.n_shaded, 1));
   const auto orientation_scale = float(batch.weights.orientation * per_shaded);
@@ -219,24 +228,32 @@ void TrainingStep::Composite(const Batch& batch, const Tile& tile, Thread& threa
   }
   for (int64_t r = tile.first_ray; r < tile.end_ray; ++r) {
     const int64_t ray_begin = block.shaded_offsets[r] - begin, ray_end = block.shaded_offsets[r + 1] - begin;
-    float d_colour[3];
+    const float transmittance = block.transmittance[r];
+    const int64_t view = corrections == nullptr ? 0 : views[r];
+    const float* correction = corrections == nullptr ? nullptr : corrections + kCorrectionParameters * view;
+    float light[3], colour[3], d_colour[3], d_light[3];
     for (int c = 0; c < 3; ++c) {
-      float colour = block.transmittance[r] * background;
+      light[c] = 0;
       for (int64_t i = ray_begin; i < ray_end; ++i) {
-        colour += block.weights[block.shaded[begin + i]] * rgb[c * stride + i];
+        light[c] += block.weights[block.shaded[begin + i]] * rgb[c * stride + i];
       }
-      const float error = colour - target[3 * r + c];
+    }
+    CorrectedColour(correction, light, transmittance, background, colour);
+    for (int c = 0; c < 3; ++c) {
+      const float error = colour[c] - target[3 * r + c];
       thread.mse += double(error) * error / (3 * double(batch.n_rays));
       d_colour[c] = mse_scale * error;
-      thread.d_transmittance[r] += d_colour[c] * background;
     }
+    thread.d_transmittance[r] =
+        CorrectedColourBackward(correction, light, transmittance, background, d_colour, d_light,
+                                [&](int i, float d) { thread.d_corrections[kCorrectionParameters * view + i] += d; });
     for (int64_t i = ray_begin; i < ray_end; ++i) {
       const int64_t sample = block.shaded[begin + i];
       const float weight = block.weights[sample];
       float d_weight = 0, facing_away = 0;
       for (int c = 0; c < 3; ++c) {
-        d_weight += d_colour[c] * rgb[c * stride + i];
-        d_rgb[c * stride + i] = weight * d_colour[c];
+        d_weight += d_light[c] * rgb[c * stride + i];
+        d_rgb[c * stride + i] = weight * d_light[c];
         facing_away += normals[c * stride + i] * directions[c * stride + i];
       }
       facing_away = std::max(facing_away, 0.F);
@@ -343,12 +360,24 @@ void TrainingStep::Scatter(int task, double density_l1) {
   }
 }
 
+void TrainingStep::ReduceCorrections(double weight) {
+  const Tensor& corrections = field_.colour_corrections();
+  Tensor& gradient = gradients_.back();
+  const auto rate = float(2 * weight / double(corrections.size(0)));
+  const auto* from = corrections.const_data_ptr<float>();
+  auto* to = gradient.mutable_data_ptr<float>();
+  for (int64_t i = 0; i < gradient.numel(); ++i) {
+    to[i] = rate * from[i];
+    for (int thread = 0; thread < n_team_; ++thread) to[i] += threads_[thread]->d_corrections[i];
+  }
+}
+
 void TrainingStep::ReduceNetworks() {
   constexpr int kGrids = 2;
   const size_t n_layers = threads_.front()->gradients.layers().size();
 #pragma omp parallel for schedule(dynamic, 1)
   for (size_t l = 0; l < n_layers; ++l) {
-    torch::Tensor &weight = gradients_[kGrids + 2 * l], &bias = gradients_[kGrids + 2 * l + 1];
+    Tensor &weight = gradients_[kGrids + 2 * l], &bias = gradients_[kGrids + 2 * l + 1];
     const int64_t n_out = weight.size(0), n_in = weight.size(1);
     auto *to_weight = weight.mutable_data_ptr<float>(), *to_bias = bias.mutable_data_ptr<float>();
     std::fill_n(to_weight, n_out * n_in, 0.F);

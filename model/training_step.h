@@ -32,7 +32,7 @@
 namespace nrff {
 
 struct LossWeights {
-  double orientation = 0, density_l1 = 0, sparsity = 0, depth = 0;  // losses.h
+  double orientation = 0, density_l1 = 0, sparsity = 0, depth = 0, correction = 0;  // losses.h
 };
 
 class TrainingStep {
@@ -46,7 +46,8 @@ class TrainingStep {
     int64_t n_shaded = 0;
   };
 
-  // Overwrites gradients(). `depths` may be null. The background is options.background.
+  // Overwrites gradients(). `depths` may be null. The background is options.background. The batch's views are those of
+  // the field's colour corrections, where it has any.
   Result Run(const PixelSource::Batch& batch, const DepthSource::Batch* depths, const OccupancyGrid& occupancy,
              const SceneMap& map, const RenderOptions& options, const LossWeights& weights);
 
@@ -68,6 +69,7 @@ class TrainingStep {
     ShadingTile tile;
     ShadingGradients gradients;
     std::vector<float> features, directions, d_weights, d_sigma, d_transmittance;
+    std::vector<float> d_corrections;  // [corrected_views, 12]
     double mse = 0, orientation = 0, sparsity = 0, depth = 0;
   };
   struct Batch;
@@ -79,6 +81,7 @@ class TrainingStep {
   void BackwardDensity(const Batch& batch, Tile& tile, Thread& thread);
   void Scatter(int task, double density_l1);
   void ReduceNetworks();
+  void ReduceCorrections(double weight);
 
   const NrffField& field_;
   ShadingNetworks networks_;

@@ -34,7 +34,8 @@ constexpr Forceable kForceable[] = {{"exhaustive_matching", "sfm", "matching", "
                                     {"undistortion", "pose", "undistortion", "on", "off"},
                                     {"contraction", "pose", "contraction", "on", "off"},
                                     {"sparse_depth", "train", "sparse-depth", "on", "off"},
-                                    {"fine_levels", "train", "fine-levels", "on", "off"}};
+                                    {"fine_levels", "train", "fine-levels", "on", "off"},
+                                    {"exposure_correction", "train", "exposure-correction", "on", "off"}};
 
 // The form alone: what keys there are, the training program knows.
 std::string CheckSettings(const std::string& text) {
@@ -51,6 +52,14 @@ std::string CheckSettings(const std::string& text) {
 }
 
 std::string CheckImageSize(const std::string& text) { return CheckRange(text, kLeastMaxImageSize, kMostMaxImageSize); }
+
+std::string CheckMasks(const std::string& text) {
+  return text == "ignore" || text == "background" || text == "off"
+             ? ""
+             : "'" + text + "' is nothing that masks can mean; give ignore, background or off";
+}
+
+std::string CheckFrames(const std::string& text) { return CheckRange(text, 3, 2000); }
 
 std::string CheckBitDepth(const std::string& text) {
   return text == "8" || text == "16" ? "" : "'" + text + "' is no bit depth; give 8 or 16";
@@ -89,6 +98,8 @@ Params GivenOptions(const BranchOptions& options) {
   add("steps", options.steps);
   add("seed", options.seed);
   add("device", options.device);
+  add("frames", options.frames);
+  add("masks", options.masks);
   add("max-image-size", options.max_image_size);
   add("bit-depth", options.bit_depth);
   add("lpips", options.lpips.empty() || options.lpips == needs::kNoLpips
@@ -129,7 +140,7 @@ fs::path Folder(const std::string& given) {
 }  // namespace
 
 void AddTargetOption(CLI::App& command, BranchOptions& options) {
-  command.add_option("CAPTURE", options.targets, "Folder of photos, posed capture, or a workspace")
+  command.add_option("CAPTURE", options.targets, "Folder of photos, video, posed capture, workspace")
       ->required()
       ->type_name("");
 }
@@ -151,6 +162,8 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options) {
   budget->check(
       [](const std::string& text) { return std::string(text.empty() ? "give a time, as 90s, 10m, 1h" : ""); });
   add("--steps", options.steps, "N", "Training steps; not with --budget")->check(CheckPositive)->excludes(budget);
+  add("--frames", options.frames, "N", "Of each video (default: as its picture moves)")->check(CheckFrames);
+  add("--masks", options.masks, "WHAT", "Masks mean: ignore (default), background; or off")->check(CheckMasks);
   add("--max-image-size", options.max_image_size, "PX",
       "Shrink photos to this side (default: " + default_of("max-image-size", kMaxImageSize) + ")")
       ->check(CheckImageSize);

@@ -117,8 +117,7 @@ Command AddRunCommand(CLI::App& app) {
   AddVerbosityOptions(*command, options->output);
   AddJsonOption(*command, options->output);
   command->footer(
-      "Several captures share one run and a joint report; one that fails does not stop\n"
-      "the others. Killed at any moment, the same command goes on from what is there.\n" +
+      "Killed at any moment, the same command goes on. Several share a joint report.\n" +
       std::string(kFeaturesHelp) + "Example: nrff run castle/ --budget 10m");
   return {command, [options] { Run(options->branch, options->dry_run, options->output); }};
 }

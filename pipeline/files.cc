@@ -16,6 +16,7 @@
 #include <xxhash.h>
 
 #include "pipeline/error.h"
+#include "pipeline/photo_name.h"
 
 namespace nrff {
 namespace fs = std::filesystem;
@@ -212,6 +213,7 @@ std::vector<fs::path> ListFiles(const fs::path& root) {
 std::string HashTree(const fs::path& root) {
   std::error_code error;
   if (!fs::exists(root, error)) throw InputError(EscapePath(root) + " does not exist: give a capture's folder");
+  if (fs::is_regular_file(root, error)) return HashFile(root);
   std::string listing;
   for (const fs::path& file : ListFiles(root)) {
     std::string content;
@@ -226,6 +228,7 @@ std::string HashTree(const fs::path& root) {
 }
 
 fs::path CaptureFolderName(const fs::path& capture) {
+  if (HasVideoExtension(capture)) return capture.stem();
   const fs::path name = capture.filename();
   const bool generic = name == "images" || name == "photos" || name == "input" || name == "frames";
   const fs::path parent = capture.parent_path().filename();

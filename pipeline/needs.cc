@@ -108,6 +108,18 @@ Decision SparseDepth(size_t n_depths, bool unbounded) {
                        : "too few points to tell where surfaces are"};
 }
 
+Decision ExposureCorrection(double spread_ev, bool unbounded) {
+  constexpr double kVisible_ev = 0.2;
+  const bool differ = spread_ev >= kVisible_ev, needed = differ && unbounded;
+  return {"exposure_correction", needed,
+          Format("exposures of training views differ by %.3g EV", spread_ev) +
+              (unbounded ? ", unbounded scene" : ", bounded scene"),
+          "0.2 EV in an unbounded scene",
+          needed   ? "one colour of a point cannot fit all photos"
+          : differ ? "an object turned before its light changes its colours, too"
+                   : "the photos agree, or have neither points nor EXIF to tell by"};
+}
+
 Decision SmallModel(double steps_per_second, double budget_seconds, bool unbounded) {
   const auto steps = static_cast<int64_t>(steps_per_second * budget_seconds);
   const int64_t fewest = unbounded ? 1500 : 700;

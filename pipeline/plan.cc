@@ -129,6 +129,12 @@ void PrintPlans(const std::vector<BranchPlan>& plans, std::ostream& out) {
     out << fmt::format("  {}: {} images, {} to train, {} held out ({})\n", plan.facts.value("kind", "capture"),
                        plan.facts.value("n_images", 0), plan.facts.value("n_train", 0), plan.facts.value("n_test", 0),
                        plan.facts.value("split_rule", ""));
+    if (const int n_masks = plan.facts.value("n_masks", 0); n_masks > 0) {
+      out << fmt::format("  masks of {} of them\n", n_masks);
+    }
+    if (const int n_videos = plan.facts.value("n_videos", 0); n_videos > 0) {
+      out << fmt::format("  and frames of {} video{}, chosen when ingest runs\n", n_videos, n_videos == 1 ? "" : "s");
+    }
     for (size_t i = 0; i < plan.nodes.size(); ++i) {
       const Verdict& verdict = plan.verdicts[i];
       out << fmt::format("  {:<7}{:<8}{}\n", StateText(verdict.state), plan.nodes[i].stage, verdict.reason);

@@ -64,12 +64,14 @@ void WriteReport(const fs::path& workspace) {
   Json summary = Summarise(state);
   const Json pictures = PartOrWarning(summary, [&] { return Pictures(state, summary["images"]); });
   const Json geometry = PartOrWarning(summary, [&] { return Geometry(state); });
+  const Json videos = PartOrWarning(summary, [&] { return VideoFrames(state); });
   const Json stability = PartOrWarning(summary, [&] { return ReadStability(state.root / kStabilityFolder); });
   WriteJson(artifact.dir() / "summary.json", summary);
   const Json page = {{"summary", summary},
                      {"facts", Facts(state)},
                      {"pictures", pictures},
                      {"geometry", geometry},
+                     {"videos", videos},
                      {"stability", stability}};
   WriteFileAtomically(artifact.dir() / "report.html", FillPage("report.html", state.name, page));
   artifact.AddOutput("summary.json");

@@ -50,9 +50,10 @@ ViewFiles FilesOf(const WorkspaceState& state, const Json& image) {
   return files;
 }
 
-Json PngDataUri(const fs::path& file) {
+// type: "png" or "jpeg". Null where the file is not there.
+Json DataUri(const char* type, const fs::path& file) {
   try {
-    return "data:image/png;base64," + Base64(ReadFile(file));
+    return fmt::format("data:image/{};base64,", type) + Base64(ReadFile(file));
   } catch (const Error&) {
     return nullptr;
   }
@@ -133,18 +134,18 @@ Json Pictures(const WorkspaceState& state, const Json& images) {
   Json views = Json::array();
   for (size_t i : shown) {
     views.push_back({{"image", i},
-                     {"truth", PngDataUri(files[i].truth)},
-                     {"rendered", PngDataUri(files[i].rendered)},
-                     {"error", PngDataUri(files[i].error)},
-                     {"depth", PngDataUri(files[i].depth)},
-                     {"normal", PngDataUri(files[i].normal)}});
+                     {"truth", DataUri("png", files[i].truth)},
+                     {"rendered", DataUri("png", files[i].rendered)},
+                     {"error", DataUri("png", files[i].error)},
+                     {"depth", DataUri("png", files[i].depth)},
+                     {"normal", DataUri("png", files[i].normal)}});
   }
   return {{"views", views}, {"note", note}};
 }
 
 Json MedianPicture(const WorkspaceState& state, const Json& images) {
   if (images.empty()) return nullptr;
-  return PngDataUri(FilesOf(state, images[ByPsnr(images)[images.size() / 2]]).rendered);
+  return DataUri("png", FilesOf(state, images[ByPsnr(images)[images.size() / 2]]).rendered);
 }
 
 Json Comparisons(const std::vector<Run>& runs) {
@@ -176,9 +177,9 @@ Json Comparisons(const std::vector<Run>& runs) {
       Json shown = Json::array(), truth;
       for (size_t i = 0; i < images.size(); ++i) {
         const ViewFiles files = FilesOf(runs[of_capture[i]].state, *images[i]);
-        if (truth.is_null()) truth = PngDataUri(files.truth);
-        shown.push_back({{"rendered", PngDataUri(files.rendered)},
-                         {"error", PngDataUri(files.error)},
+        if (truth.is_null()) truth = DataUri("png", files.truth);
+        shown.push_back({{"rendered", DataUri("png", files.rendered)},
+                         {"error", DataUri("png", files.error)},
                          {"psnr", images[i]->at("psnr")}});
       }
       views.push_back({{"name", images.front()->at("name")}, {"truth", truth}, {"shown", shown}});
@@ -215,6 +216,34 @@ Json Geometry(const WorkspaceState& state) {
               {"colors", Base64(as_bytes(cloud.colors))}};
   }
   return {{"points", points}, {"cameras", cameras}};
+}
+
+Json VideoFrames(const WorkspaceState& state) {
+  const fs::path ingest = state.root / "ingest", file = ingest / "videos.json";
+  if (!fs::exists(file)) return nullptr;
+  const std::string where = EscapePath(file);
+  Json videos = Json::array();
+  for (const Json& video : Get<std::vector<Json>>(ReadJson(file), "videos", where)) {
+    const auto verdicts = Get<std::vector<std::string>>(video, "verdict", where);
+    const auto rate = Get<double>(video, "frames_per_second", where);
+    Json counts = {{"kept", 0}, {"repeated", 0}, {"blurred", 0}, {"near", 0}}, thumbnails = Json::array();
+    for (const std::string& verdict : verdicts) counts[verdict] = counts.value(verdict, 0) + 1;
+    for (const Json& thumbnail : Get<std::vector<Json>>(video, "thumbnails", where)) {
+      const auto frame = Get<size_t>(thumbnail, "frame", where);
+      const fs::path picture = fs::path(Get<std::string>(thumbnail, "file", where)).lexically_normal();
+      if (frame >= verdicts.size() || picture.empty() || *picture.begin() != "thumbnails") {
+        throw CorruptError(where + ": has a thumbnail of no frame, or elsewhere than in thumbnails/: run ingest again");
+      }
+      thumbnails.push_back({{"picture", DataUri("jpeg", ingest / picture)},
+                            {"seconds", rate > 0 ? Json(double(frame) / rate) : Json()},
+                            {"verdict", verdicts[frame]}});
+    }
+    videos.push_back({{"name", Get<std::string>(video, "name", where)},
+                      {"n_frames", verdicts.size()},
+                      {"verdicts", counts},
+                      {"thumbnails", thumbnails}});
+  }
+  return videos;
 }
 
 }  // namespace nrff

@@ -37,4 +37,9 @@ Json Comparisons(const std::vector<Run>& runs);
 // field of view's tangents. Null when the pose stage has not run. Throws CorruptError when its files are damaged.
 Json Geometry(const WorkspaceState& state);
 
+// What ingest took of the capture's videos: [{name, n_frames, verdicts: {of kept, repeated, blurred, near: how many
+// frames}, thumbnails: [{picture: data URI, seconds: into the video or null, verdict}]}]; null without videos. Throws
+// CorruptError when ingest's videos.json is damaged.
+Json VideoFrames(const WorkspaceState& state);
+
 }  // namespace nrff

@@ -5,6 +5,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cmath>
 #include <cstring>
@@ -72,6 +73,19 @@ std::vector<int> Scene::ViewsOf(Split split) const {
   return indices;
 }
 
+double ExposureSpread(const Scene& scene) {
+  double sum = 0, squares = 0, n = 0;
+  for (const View& view : scene.views) {
+    if (view.split != Split::kTrain) continue;
+    double ev = 0;
+    for (const double gain : view.colour_gain) ev += kDisplayGamma * std::log2(gain) / 3;
+    sum += ev;
+    squares += ev * ev;
+    ++n;
+  }
+  return n == 0 ? 0 : std::sqrt(std::max(0., squares / n - sum * sum / (n * n)));
+}
+
 void SaveScene(const Scene& scene, const fs::path& dir) {
   Json views = Json::array();
   for (const View& view : scene.views) {
@@ -81,12 +95,14 @@ void SaveScene(const Scene& scene, const fs::path& dir) {
                      {"width", view.width},
                      {"height", view.height},
                      {"channels", view.channels},
+                     {"masked", view.masked},
                      {"pack_offset", view.pack_offset},
                      {"fx", view.fx},
                      {"fy", view.fy},
                      {"cx", view.cx},
                      {"cy", view.cy},
-                     {"scene_from_camera", view.scene_from_camera}});
+                     {"scene_from_camera", view.scene_from_camera},
+                     {"colour_gain", view.colour_gain}});
   }
   WriteJson(dir / kSceneFile, {{"schema_version", kSceneSchemaVersion},
                                {"name", scene.name},
@@ -141,6 +157,7 @@ Scene LoadScene(const fs::path& dir) {
     view.width = Get<int>(item, "width", view_where);
     view.height = Get<int>(item, "height", view_where);
     view.channels = Get<int>(item, "channels", view_where);
+    view.masked = Get<bool>(item, "masked", view_where);
     view.pack_offset = Get<uint64_t>(item, "pack_offset", view_where);
     view.fx = Get<double>(item, "fx", view_where);
     view.fy = Get<double>(item, "fy", view_where);
@@ -148,10 +165,19 @@ Scene LoadScene(const fs::path& dir) {
     view.cy = Get<double>(item, "cy", view_where);
     view.scene_from_camera = Get<Mat4>(item, "scene_from_camera", view_where);
     CheckSimilarity(view.scene_from_camera, true, view_where + ": scene_from_camera");
+    view.colour_gain = Get<Vec3>(item, "colour_gain", view_where);
+    for (const double gain : view.colour_gain) {
+      if (!(gain > 0) || !std::isfinite(gain)) {
+        throw CorruptError(view_where + " has a colour gain that is not finite and positive: run the pose stage again");
+      }
+    }
     if (!ids.insert(view.id).second) throw CorruptError(view_where + " appears twice");
     if (view.width < 1 || view.height < 1 || (view.channels != 3 && view.channels != 4)) {
       throw CorruptError(view_where + " is " + std::to_string(view.width) + "×" + std::to_string(view.height) +
                          " with " + std::to_string(view.channels) + " channels, expected at least 1×1 with 3 or 4");
+    }
+    if (view.masked && view.channels != 4) {
+      throw CorruptError(view_where + " is masked but has no alpha channel: run the pose stage again");
     }
     if (view.pack_offset > pack_bytes || view.PixelBytes() > pack_bytes - view.pack_offset) {
       throw CorruptError(view_where + " lies outside " + kPackFile + " (" + std::to_string(pack_bytes) + " bytes)");

@@ -31,10 +31,14 @@ struct View {
   Split split = Split::kTrain;
   int width = 0, height = 0;  // px
   int channels = 3;           // 3 RGB, 4 RGBA
+  bool masked = false;        // alpha says which pixels count: those of 255; else it shows the background
   uint64_t pack_offset = 0;   // bytes into images.u8
   double fx = 0, fy = 0, cx = 0,
          cy = 0;             // px; principal point in the corner-origin convention (centre of 2×2 px: 1, 1)
   Mat4 scene_from_camera{};  // rigid
+  // How many times as bright this view shows red, green and blue of the same things as the mean of the training views
+  // does, in display-referred values, as sfm/view_exposure.h measures it; 1 where nothing says otherwise.
+  Vec3 colour_gain{1, 1, 1};
 
   uint64_t PixelBytes() const { return uint64_t(width) * height * channels; }
 };
@@ -61,6 +65,11 @@ struct Scene {
   std::vector<int> ViewsOf(Split split) const;  // indices
 };
 
+// The standard deviation of the training views' exposures, in EV (doublings of the light), from their colour gains.
+double ExposureSpread(const Scene& scene);
+// Display-referred values go with about this root of the light.
+inline constexpr double kDisplayGamma = 2.2;
+
 // A triangulated point as one training view sees it: the surface on that ray is there, give or take `sigma`.
 struct SparseDepth {
   uint32_t view = 0;       // index into Scene::views
@@ -69,7 +78,7 @@ struct SparseDepth {
 };
 static_assert(sizeof(SparseDepth) == 20);
 
-inline constexpr int kSceneSchemaVersion = 2;
+inline constexpr int kSceneSchemaVersion = 3;
 
 void SaveScene(const Scene& scene, const std::filesystem::path& dir);
 // Checks everything a reader relies on: finite, rotations orthonormal and right-handed, offsets inside the pack.

@@ -30,7 +30,7 @@ struct Stage {
 
 const std::vector<Stage>& Table() {
   static const std::vector<Stage> table = {
-      {"ingest", "nrff-ingest", "", {}, {}, {}, false, 512 * kMebibyte},
+      {"ingest", "nrff-ingest", "", {}, {"frames", "masks"}, {}, false, 512 * kMebibyte},
       {"sfm",
        "nrff-pose",
        "estimate",

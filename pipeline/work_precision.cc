@@ -140,9 +140,8 @@ struct PoseSetting {
 // The first is that of `nrff run`.
 std::vector<PoseSetting> PoseSettings(const Json& ingest) {
   const std::string where = "ingest's manifest";
-  const PoseSetting usual{
-      .exhaustive =
-          needs::ExhaustiveMatching(Get<int>(ingest, "n_images", where), Get<bool>(ingest, "ordered", where)).needed};
+  const bool ordered = Get<bool>(ingest, "ordered", where);
+  const PoseSetting usual{.exhaustive = needs::ExhaustiveMatching(Get<int>(ingest, "n_images", where), ordered).needed};
   std::vector<PoseSetting> settings(7, usual);
   settings[1].image_size = 500;
   settings[2].image_size = 1600;

@@ -3,14 +3,17 @@
 
 #include <ATen/ATen.h>
 
+#include <functional>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "model/checkpoint.h"
 #include "model/cuda/gpu_library.h"
 #include "model/cuda/gpu_renderer.h"
 #include "model/ray_batch.h"
+#include "model/view_colours.h"
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "pipeline/log.h"
@@ -54,6 +57,17 @@ std::vector<View> PathViews(const Scene& scene, const Options& options) {
   return ReadPath(options.path, scene, options.frames);
 }
 
+// RenderSource::finish for the capture's views: each in the exposure that its photo has, or is thought to have.
+std::function<void(const View&, RenderedImage&)> InTheirExposures(const Scene& scene, const LoadedModel& model) {
+  std::vector<View> training;
+  for (const int index : scene.ViewsOf(Split::kTrain)) training.push_back(scene.views[index]);
+  ViewColours colours(*model.field, std::move(training));
+  if (colours.empty()) return {};
+  return [colours = std::move(colours), background = model.options.background](const View& view, RenderedImage& image) {
+    CorrectColours(colours.Of(view), background, int64_t(image.opacity.size()), image.opacity.data(), image.rgb.data());
+  };
+}
+
 void Render(const Options& options, const Params& params) {
   const Device device = ChooseDevice(options.device);
   const int n_threads = SetThreads(options.n_threads);
@@ -76,12 +90,14 @@ void Render(const Options& options, const Params& params) {
     gpu.emplace(device.gpu, *model->field, model->occupancy);
     source.render = [&](const View& view, const RenderOptions& with) { return gpu->Render(view, model->map, with); };
   }
+  if (options.path.empty()) source.finish = InTheirExposures(scene, *model);  // a path's frames are all in one
   const RenderFacts facts = RenderViews(source, views, options.path.empty() ? "" : "path", artifact.dir());
   if (facts.n_kept > 0) LogInfo("kept " + std::to_string(facts.n_kept) + " views of an interrupted attempt");
   artifact.facts() = {{"n_views", facts.n_views},
                       {"seconds_per_view", facts.seconds_per_view},
                       {"samples_per_ray", facts.samples_per_ray},
                       {"threads", n_threads},
+                      {"exposures", source.finish ? "of the nearest training views" : "the field's own"},
                       {"device", device.gpu ? "cuda" : "cpu"}};
   artifact.AddDecision(device.decision);
   artifact.AddOutput(kRendersFile);
@@ -123,7 +139,9 @@ void MeasureWorkPrecision(const Options& options, const Params& params) {
   ArtifactWriter artifact(
       "rendering", options.out, params,
       {ArtifactInput(options.scene_dir, scene_manifest), ArtifactInput(options.model_dir, model_manifest)});
-  Json result = RenderingWorkPrecision({*model->field, model->occupancy, model->map, model->options}, views, photos);
+  RenderSource source{*model->field, model->occupancy, model->map, model->options};
+  source.finish = InTheirExposures(scene, *model);
+  Json result = RenderingWorkPrecision(source, views, photos);
   result["threads"] = n_threads;
   result["width"] = views.front().width;
   result["height"] = views.front().height;

@@ -105,10 +105,11 @@ RenderFacts RenderViews(const RenderSource& source, const std::vector<View>& vie
       ++facts.n_kept;
     } else {
       const auto start = std::chrono::steady_clock::now();
-      const RenderedImage image =
-          source.render ? source.render(view, options)
-                        : RenderImage(source.field, source.occupancy, source.map, view, options,
-                                      [&](int64_t n) { progress.Update(facts.n_views + n / n_view_rays); });
+      RenderedImage image = source.render
+                                ? source.render(view, options)
+                                : RenderImage(source.field, source.occupancy, source.map, view, options,
+                                              [&](int64_t n) { progress.Update(facts.n_views + n / n_view_rays); });
+      if (source.finish) source.finish(view, image);
       record.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
       record.n_samples = static_cast<double>(image.n_samples);
       WriteImage(image, view, depth_range, dir, source.bits);

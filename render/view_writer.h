@@ -33,6 +33,8 @@ struct RenderSource {
   int bits = 8;  // of the colours: 8, or 16 without the tolerance of colours that 8 hide
   // RenderImage of this source by other means than the CPU's; null: RenderImage.
   std::function<RenderedImage(const View& view, const RenderOptions& options)> render = {};
+  // What is done to a view's image before it is written; null: nothing.
+  std::function<void(const View& view, RenderedImage& image)> finish = {};
 };
 
 // Renders the views into `dir`. A view that an interrupted attempt finished there (dir/done/ID.json, written after its

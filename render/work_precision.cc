@@ -171,6 +171,7 @@ class Sweep {
     images.reserve(views_.size());
     for (const View& view : views_) {
       images.push_back(RenderImage(field, source_.occupancy, source_.map, view, options));
+      if (source_.finish) source_.finish(view, images.back());
     }
     return images;
   }

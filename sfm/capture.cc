@@ -1,5 +1,6 @@
 #include "sfm/capture.h"
 
+#include <iterator>
 #include <utility>
 
 #include "pipeline/error.h"
@@ -13,6 +14,15 @@ Split SplitNamed(const std::string& name, const std::string& where) {
   if (name == "train") return Split::kTrain;
   if (name == "test") return Split::kTest;
   throw CorruptError(where + ": \"split\" is \"" + name + "\"; expected train or test; run ingest again");
+}
+
+constexpr const char* kMasksNames[] = {"ignore", "background"};  // in the order of Masks
+
+Masks MasksNamed(const std::string& name, const std::string& where) {
+  for (size_t i = 0; i < std::size(kMasksNames); ++i) {
+    if (name == kMasksNames[i]) return Masks(i);
+  }
+  throw CorruptError(where + ": \"masks\" is \"" + name + "\"; expected ignore or background; run ingest again");
 }
 
 template <typename T>
@@ -31,6 +41,7 @@ Json ToJson(const CaptureImage& image) {
   const ImageInfo& info = image.info;
   return {{"id", image.id},
           {"path", EscapePath(image.path)},
+          {"extracted", image.extracted},
           {"name", image.Name()},
           {"split", image.split == Split::kTest ? "test" : "train"},
           {"width", info.width},
@@ -39,6 +50,8 @@ Json ToJson(const CaptureImage& image) {
           {"channels", info.channels},
           {"bit_depth", info.bit_depth},
           {"hash", image.hash},
+          {"mask", image.mask.empty() ? Json() : Json(EscapePath(image.mask))},
+          {"mask_hash", image.mask_hash},
           {"camera", image.camera},
           {"focal_px", OrNull(info.focal_px)},
           {"make", info.make},
@@ -54,8 +67,11 @@ CaptureImage ImageFromJson(const Json& json, const std::string& where) {
   CaptureImage image;
   image.id = Get<std::string>(json, "id", where);
   image.path = UnescapePath(Get<std::string>(json, "path", where));
+  image.extracted = Get<bool>(json, "extracted", where);
   image.split = SplitNamed(Get<std::string>(json, "split", where), where);
   image.hash = Get<std::string>(json, "hash", where);
+  image.mask = UnescapePath(GetOptional<std::string>(json, "mask", where).value_or(""));
+  image.mask_hash = Get<std::string>(json, "mask_hash", where);
   image.camera = Get<int>(json, "camera", where);
   image.blur = Get<double>(json, "blur", where);
   ImageInfo& info = image.info;
@@ -87,6 +103,8 @@ CaptureImage ImageFromJson(const Json& json, const std::string& where) {
 
 }  // namespace
 
+const char* MasksName(Masks masks) { return kMasksNames[size_t(masks)]; }
+
 std::string CaptureImage::Name() const { return EscapePath(path.filename()); }
 
 void SaveCapture(const Capture& capture, const std::filesystem::path& dir) {
@@ -102,6 +120,7 @@ void SaveCapture(const Capture& capture, const std::filesystem::path& dir) {
                                  {"posed", capture.posed},
                                  {"ordered", capture.ordered},
                                  {"background", BackgroundName(capture.background)},
+                                 {"masks", MasksName(capture.masks)},
                                  {"box", OrNull(capture.box)},
                                  {"images", std::move(images)},
                                  {"rejected", std::move(rejected)},
@@ -113,6 +132,7 @@ Capture LoadCapture(const std::filesystem::path& dir) {
   const Json json = ReadJson(dir / kCaptureFile);
   CheckSchemaVersion(json, kCaptureSchemaVersion, where);
   Capture capture;
+  capture.artifact = dir;
   capture.name = Get<std::string>(json, "name", where);
   capture.kind = Get<std::string>(json, "kind", where);
   capture.root = UnescapePath(Get<std::string>(json, "root", where));
@@ -120,6 +140,7 @@ Capture LoadCapture(const std::filesystem::path& dir) {
   capture.posed = Get<bool>(json, "posed", where);
   capture.ordered = Get<bool>(json, "ordered", where);
   capture.background = ParseBackground(json, where);
+  capture.masks = MasksNamed(Get<std::string>(json, "masks", where), where);
   capture.box = GetOptional<std::array<double, 6>>(json, "box", where);
   for (const Json& image : Get<std::vector<Json>>(json, "images", where)) {
     capture.images.push_back(ImageFromJson(image, where));

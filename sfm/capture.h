@@ -13,14 +13,21 @@
 
 namespace nrff {
 
+// What masks and alpha channels say of the pixels that they leave out: these do not count, or show what is behind the
+// subject.
+enum class Masks { kIgnore, kBackground };
+
 struct CaptureImage {
   std::string id;              // "000012": position in byte order of `path`
-  std::filesystem::path path;  // relative to Capture::root
+  std::filesystem::path path;  // relative to Capture::root or, of a frame of a video, to the ingest artifact
+  bool extracted = false;      // is a frame of a video
   Split split = Split::kTrain;
-  ImageInfo info;    // info.orientation is the one to apply: 1 where poses refer to the stored raster
-  std::string hash;  // of the file's bytes
-  int camera = 0;    // group: same make, model, focal length and size
-  double blur = 0;   // MeasureBlur (image_measures.h)
+  ImageInfo info;                // info.orientation is the one to apply: 1 where poses refer to the stored raster
+  std::string hash;              // of the file's bytes
+  std::filesystem::path mask{};  // as path (masks.h); empty: none
+  std::string mask_hash{};
+  int camera = 0;   // group: same make, model, focal length and size
+  double blur = 0;  // MeasureBlur (image_measures.h)
 
   std::string Name() const;  // the file's name, escaped (EscapePath)
 };
@@ -33,20 +40,27 @@ struct RejectedFile {
 struct Capture {
   std::string name;
   std::string kind;  // photos | transforms | nsvf | colmap
-  std::filesystem::path root;
+  std::filesystem::path root, artifact;  // the folder as the user has it; the ingest artifact, in no file
   std::string split_rule;
   bool posed = false;
   bool ordered = false;  // byte order of the names is the order of taking (IsOrdered)
   Background background = Background::kNone;
+  Masks masks = Masks::kBackground;          // info.channels says which photos have any
   std::optional<std::array<double, 6>> box;  // min xyz, max xyz, world units
   std::vector<CaptureImage> images;          // by id
   std::vector<RejectedFile> rejected;
+  std::filesystem::path FileOf(const CaptureImage& image) const {
+    return (image.extracted ? artifact : root) / image.path;
+  }
   std::vector<std::vector<std::string>> duplicates;  // groups of photos that look alike, escaped relative paths
 };
 
-inline constexpr int kCaptureSchemaVersion = 1;
+inline constexpr int kCaptureSchemaVersion = 2;
 inline constexpr char kCaptureFile[] = "capture.json";
 inline constexpr char kGivenModelDir[] = "sparse";  // beside capture.json, where the capture brings poses
+
+// "ignore" or "background".
+const char* MasksName(Masks masks);
 
 void SaveCapture(const Capture& capture, const std::filesystem::path& dir);
 // Throws CorruptError naming file and key.

@@ -52,7 +52,7 @@ void WriteImagePack(const std::filesystem::path& file, uint64_t size_bytes, cons
   PackFile pack(file, size_bytes);
   ForEachPhoto("packing photos", entries.size(), n_threads, [&](size_t i) {
     const PackEntry& entry = entries[i];
-    pack.Write(entry.offset, Resample(ReadCapturedPhoto(capture, *entry.photo), *entry.lens, *entry.target).pixels);
+    pack.Write(entry.offset, ResampledPhoto(capture, *entry.photo, *entry.lens, *entry.target).pixels);
   });
 }
 

@@ -17,8 +17,10 @@
 #include "pipeline/needs.h"
 #include "sfm/capture.h"
 #include "sfm/image_measures.h"
+#include "sfm/masks.h"
 #include "sfm/photo_work.h"
 #include "sfm/recognise.h"
+#include "sfm/video.h"
 
 namespace nrff {
 namespace {
@@ -33,6 +35,7 @@ struct MeasuredPhoto {
   DifferenceHash look;
   FrameShares frame;
   std::optional<RejectedFile> rejected;
+  std::string video;  // that it is a frame of
 };
 
 // The folder's path and name as recorded: absolute, without "." and a slash at the end.
@@ -55,9 +58,9 @@ bool FitOrientation(const ColmapCamera& camera, bool poses_ignore_orientation, I
   return Fits(camera, info.width, info.height);
 }
 
-void Measure(const Source& source, const ColmapCamera* camera, MeasuredPhoto& photo) {
+void Measure(const Source& source, const fs::path& artifact, const ColmapCamera* camera, MeasuredPhoto& photo) {
   CaptureImage& image = photo.image;
-  const fs::path file = source.root / image.path;
+  const fs::path file = (image.extracted ? artifact : source.root) / image.path;
   auto reject = [&](const std::string& reason) { photo.rejected = RejectedFile{EscapePath(image.path), reason}; };
   try {
     image.info = ProbeImage(file);
@@ -72,13 +75,18 @@ void Measure(const Source& source, const ColmapCamera* camera, MeasuredPhoto& ph
                     std::to_string(camera->height) + " px");
     }
     image.hash = HashFile(file);
-    const Image pixels = ReadImageOriented(file, info.orientation);
+    Image pixels = ReadImageOriented(file, info.orientation);
+    if (!image.mask.empty()) {
+      ApplyMask(source.root / image.mask, info.orientation, pixels);
+      image.mask_hash = HashFile(source.root / image.mask);
+    }
     info.channels = pixels.channels;
+    if (image.extracted) info.model = photo.video;  // frames of a video share a camera with no other photos
     image.blur = MeasureBlur(pixels);
     photo.look = HashDifferences(pixels);
     photo.frame = MeasureFrame(pixels);
   } catch (const Error& error) {
-    photo.rejected = Rejection(source.root, image.path, error);
+    photo.rejected = Rejection(image.extracted ? artifact : source.root, image.path, error);
   }
 }
 
@@ -91,14 +99,17 @@ std::map<std::string, const ColmapCamera*> CamerasByPath(const Source& source) {
   return cameras;
 }
 
-std::vector<MeasuredPhoto> MeasureAll(const Source& source, int n_threads) {
+std::vector<MeasuredPhoto> MeasureAll(const Source& source, const fs::path& artifact, int n_threads) {
   const auto cameras = CamerasByPath(source);
   std::vector<MeasuredPhoto> photos(source.images.size());
   ForEachPhoto("reading photos", photos.size(), n_threads, [&](size_t i) {
     photos[i].image.path = source.images[i].path;
+    photos[i].image.mask = source.images[i].mask;
+    photos[i].image.extracted = source.images[i].extracted;
+    photos[i].video = source.images[i].video;
     photos[i].given_split = source.images[i].split;
     const auto camera = cameras.find(source.images[i].path.native());
-    Measure(source, camera == cameras.end() ? nullptr : camera->second, photos[i]);
+    Measure(source, artifact, camera == cameras.end() ? nullptr : camera->second, photos[i]);
   });
   return photos;
 }
@@ -128,7 +139,7 @@ std::string FreezeHoldOut(const std::vector<std::optional<Split>>& given, std::v
 
 void CheckEnough(const Source& source, size_t n_usable, const std::vector<RejectedFile>& rejected) {
   if (n_usable >= static_cast<size_t>(kMinImages)) return;
-  std::string message = EscapePath(source.root) + ": ";
+  std::string message = EscapePath(source.given) + ": ";
   if (n_usable == 1 && rejected.empty()) {
     message += "holds one photo, and one photo cannot be reconstructed";
   } else {
@@ -150,9 +161,9 @@ int GroupCameras(std::vector<CaptureImage>& images) {
   return static_cast<int>(groups.size());
 }
 
-Capture MakeCapture(const Source& source, std::vector<MeasuredPhoto> photos) {
+Capture MakeCapture(const Source& source, std::optional<Masks> masks, std::vector<MeasuredPhoto> photos) {
   Capture capture;
-  capture.name = EscapePath(CaptureFolderName(source.root));
+  capture.name = source.name;
   capture.kind = source.kind;
   capture.root = source.root;
   capture.posed = source.model.has_value();
@@ -190,9 +201,17 @@ Capture MakeCapture(const Source& source, std::vector<MeasuredPhoto> photos) {
   }
   const bool has_alpha = std::any_of(capture.images.begin(), capture.images.end(),
                                      [](const CaptureImage& image) { return image.info.channels == 4; });
-  if (capture.background == Background::kNone)
-    capture.background = has_alpha ? Background::kWhite : PlainBackground(training_frames);
-  capture.ordered = IsOrdered(paths, timestamps);
+  const bool has_masks = std::any_of(capture.images.begin(), capture.images.end(),
+                                     [](const CaptureImage& image) { return !image.mask.empty(); });
+  capture.masks = masks.value_or(has_masks ? Masks::kIgnore : Masks::kBackground);
+  if (capture.background == Background::kNone) {
+    capture.background =
+        has_alpha && capture.masks == Masks::kBackground ? Background::kWhite : PlainBackground(training_frames);
+  }
+  // Frames are chosen by how the picture moves: gaps in their numbers say nothing.
+  const bool one_video = source.videos.size() == 1 && std::all_of(capture.images.begin(), capture.images.end(),
+                                                                  [](const auto& image) { return image.extracted; });
+  capture.ordered = one_video || IsOrdered(paths, timestamps);
   for (const std::vector<int>& group : GroupAlike(looks)) {
     std::vector<std::string>& names = capture.duplicates.emplace_back();
     for (int index : group) names.push_back(EscapePath(paths[index]));
@@ -242,6 +261,32 @@ ColmapModel GivenModel(const ColmapModel& given, const Capture& capture) {
   return model;
 }
 
+// The frames of the source's videos become images of it, those that cannot be decoded are rejected. Returns what was
+// found, as videos.json has it.
+Json TakeFrames(int n_wanted, ArtifactWriter& artifact, Source& source) {
+  Json videos = Json::array();
+  std::vector<std::string> stems;
+  for (const fs::path& video : source.videos) {
+    const std::string name = EscapePath(video);
+    try {
+      ExtractedVideo extracted = ExtractFrames(source.root / video, name, n_wanted, artifact.dir(), stems);
+      for (const fs::path& frame : extracted.frames) {
+        source.images.push_back({.path = frame, .split = {}, .extracted = true, .video = name});
+      }
+      videos.push_back(std::move(extracted.record));
+    } catch (const Error& error) {
+      if (error.code() != ExitCode::kInput) throw;
+      source.rejected.push_back(Rejection(source.root, video, error));
+    }
+  }
+  if (videos.empty()) return videos;
+  std::stable_sort(source.images.begin(), source.images.end(),
+                   [](const SourceImage& a, const SourceImage& b) { return a.path.native() < b.path.native(); });
+  WriteJson(artifact.dir() / kVideosFile, {{"schema_version", kVideosSchemaVersion}, {"videos", videos}});
+  for (const char* output : {kVideosFile, kFramesDir, kThumbnailsDir}) artifact.AddOutput(output);
+  return videos;
+}
+
 double MedianBlur(const std::vector<CaptureImage>& images) {
   std::vector<double> blur;
   blur.reserve(images.size());
@@ -256,9 +301,10 @@ int CountTest(const std::vector<Split>& splits) {
 
 Json Facts(const Capture& capture, int n_cameras) {
   std::vector<Split> splits;
-  int width = 0, height = 0;
+  int width = 0, height = 0, n_masks = 0;
   bool has_alpha = false;
   for (const CaptureImage& image : capture.images) {
+    n_masks += image.mask.empty() ? 0 : 1;
     splits.push_back(image.split);
     width = std::max(width, image.info.width);
     height = std::max(height, image.info.height);
@@ -276,6 +322,8 @@ Json Facts(const Capture& capture, int n_cameras) {
           {"split_rule", capture.split_rule},
           {"posed", capture.posed},
           {"has_alpha", has_alpha},
+          {"n_masks", n_masks},
+          {"masks", has_alpha ? Json(MasksName(capture.masks)) : Json()},
           {"ordered", capture.ordered},
           {"n_cameras", n_cameras},
           {"width", width},
@@ -289,6 +337,10 @@ Json Facts(const Capture& capture, int n_cameras) {
 void LogOutcome(const Capture& capture, const Json& facts) {
   LogInfo(capture.name + ": " + facts["n_images"].dump() + " photos, " + facts["n_train"].dump() + " to train, " +
           facts["n_test"].dump() + " held out (" + capture.split_rule + ")");
+  if (const int n_masks = facts["n_masks"]; n_masks > 0) {
+    LogInfo(std::to_string(n_masks) + " photos have masks, which leave out " +
+            (capture.masks == Masks::kIgnore ? "pixels that do not count" : "the background"));
+  }
   for (const RejectedFile& file : capture.rejected) LogDetail("left out: " + file.name + " " + file.reason);
   if (!capture.rejected.empty()) {
     LogWarning(std::to_string(capture.rejected.size()) + " files are left out, the first: " +
@@ -303,10 +355,12 @@ void LogOutcome(const Capture& capture, const Json& facts) {
 
 Json ProbeCapture(const fs::path& capture) {
   const Source source = RecogniseCapture(CapturePath(capture));
-  CheckEnough(source, source.images.size(), source.rejected);
+  if (source.videos.empty()) CheckEnough(source, source.images.size(), source.rejected);
   std::vector<std::optional<Split>> given;
   bool has_alpha = false;
+  int n_masks = 0;
   for (const SourceImage& image : source.images) {
+    n_masks += image.mask.empty() ? 0 : 1;
     given.push_back(image.split);
     try {
       has_alpha = has_alpha || ProbeImage(source.root / image.path).channels == 4;
@@ -317,10 +371,11 @@ Json ProbeCapture(const fs::path& capture) {
   std::vector<Split> splits;
   const std::string rule = FreezeHoldOut(given, splits);
   const int n_test = CountTest(splits), n_images = static_cast<int>(splits.size());
-  return {{"kind", source.kind},          {"name", EscapePath(CaptureFolderName(source.root))},
+  return {{"kind", source.kind},          {"name", source.name},
           {"n_images", n_images},         {"posed", source.model.has_value()},
           {"split_rule", rule},           {"has_alpha", has_alpha},
-          {"n_train", n_images - n_test}, {"n_test", n_test}};
+          {"n_train", n_images - n_test}, {"n_test", n_test},
+          {"n_masks", n_masks},           {"n_videos", source.videos.size()}};
 }
 
 HashedPath CaptureInput(const fs::path& capture) {
@@ -328,10 +383,14 @@ HashedPath CaptureInput(const fs::path& capture) {
   return {EscapePath(path), HashTree(path), 0};
 }
 
-void Ingest(const fs::path& capture_path, int n_threads, ArtifactWriter& artifact) {
-  const Source source = RecogniseCapture(CapturePath(capture_path));
+void Ingest(const fs::path& capture_path, const IngestOptions& options, ArtifactWriter& artifact) {
+  Source source = RecogniseCapture(CapturePath(capture_path));
+  if (options.without_masks) {
+    for (SourceImage& image : source.images) image.mask.clear();
+  }
   LogInfo(EscapePath(source.root) + " is a capture of kind " + source.kind + ": " + source.evidence);
-  Capture capture = MakeCapture(source, MeasureAll(source, n_threads));
+  const Json videos = TakeFrames(options.frames, artifact, source);
+  Capture capture = MakeCapture(source, options.masks, MeasureAll(source, artifact.dir(), options.n_threads));
   const int n_cameras = GroupCameras(capture.images);
   SaveCapture(capture, artifact.dir());
   artifact.AddOutput(kCaptureFile);
@@ -340,7 +399,19 @@ void Ingest(const fs::path& capture_path, int n_threads, ArtifactWriter& artifac
     artifact.AddOutput(kGivenModelDir);
   }
   artifact.facts() = Facts(capture, n_cameras);
+  int n_frames = 0, n_kept = 0;
+  for (const Json& video : videos) {
+    n_frames += int(video["verdict"].size());
+    n_kept += int(std::count(video["verdict"].begin(), video["verdict"].end(), "kept"));
+  }
+  artifact.facts()["n_videos"] = videos.size();
+  artifact.facts()["n_frames"] = n_frames;
+  artifact.facts()["n_frames_kept"] = n_kept;
   artifact.AddDecision(needs::Sfm(capture.posed, source.evidence));
+  if (options.frames > 0 && source.videos.empty()) LogWarning("--frames does nothing here: there is no video");
+  if (options.masks && artifact.facts()["has_alpha"] == false) {
+    LogWarning("--masks does nothing here: there are no masks and no alpha channels");
+  }
   LogOutcome(capture, artifact.facts());
 }
 

@@ -3,9 +3,11 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 
 #include "pipeline/json.h"
 #include "pipeline/manifest.h"
+#include "sfm/capture.h"
 
 namespace nrff {
 
@@ -24,7 +26,16 @@ HashedPath CaptureInput(const std::filesystem::path& capture);
 // Hold-out: the data set's own split where it has one, else every 8th (index % 8 == 0) in byte order of the paths over
 // the photos that can be used. Unposed byte-identical copies are rejected; photos that look alike are only reported.
 // Throws InputError when fewer than kMinImages are left.
-void Ingest(const std::filesystem::path& capture, int n_threads, ArtifactWriter& artifact);
+//
+// Masks (masks.h): `masks` says what they and alpha channels mean; nothing: masks leave out pixels that do not count,
+// alpha channels without masks the background.
+struct IngestOptions {
+  std::optional<Masks> masks;
+  bool without_masks = false;  // they are not looked at
+  int frames = 0;              // of each video; 0: as far apart as the picture moves (frame_choice.h)
+  int n_threads = 1;
+};
+void Ingest(const std::filesystem::path& capture, const IngestOptions& options, ArtifactWriter& artifact);
 
 inline constexpr int kMinImages = 3;  // two to reconstruct from, one held out
 inline constexpr int kHoldOutEvery = 8;

@@ -17,14 +17,26 @@ int main(int argc, char** argv) {
   app.set_version_flag("--version", nrff::Version());
   std::string capture, out;
   bool probe = false;
-  int n_threads = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
-  app.add_option("capture", capture, "Folder of photos, transforms.json, NSVF layout or COLMAP model with images")
+  nrff::IngestOptions options;
+  options.n_threads = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
+  app.add_option("capture", capture, "Folder of photos, video, transforms.json, NSVF layout or COLMAP model with images")
       ->required();
   auto* where = app.add_option_group("what to do");
   where->require_option(1);
   where->add_option("--out", out, "Write the artifact to this folder");
   where->add_flag("--probe", probe, "Print what the capture is as one JSON object; write nothing");
-  app.add_option("--threads", n_threads, "Photos decoded at once")
+  const auto set_masks = [&](const std::string& meaning) {
+    options.without_masks = meaning == "off";
+    if (meaning == "ignore") options.masks = nrff::Masks::kIgnore;
+    if (meaning == "background") options.masks = nrff::Masks::kBackground;
+  };
+  app.add_option_function<std::string>("--masks", set_masks, "What masks leave out: ignore (default), background; off")
+      ->group(nrff::kParameterGroup)
+      ->check(CLI::IsMember({"ignore", "background", "off"}));
+  app.add_option("--frames", options.frames, "Frames of each video (default: as its picture moves)")
+      ->group(nrff::kParameterGroup)
+      ->check(CLI::Range(3, 2000));
+  app.add_option("--threads", options.n_threads, "Photos decoded at once")
       ->check(CLI::Range(1, nrff::kMostThreads))
       ->capture_default_str();
   nrff::AddVerbosity(app);
@@ -34,7 +46,7 @@ int main(int argc, char** argv) {
       return;
     }
     nrff::ArtifactWriter artifact("ingest", out, nrff::GivenParams(app), {nrff::CaptureInput(capture)});
-    nrff::Ingest(capture, n_threads, artifact);
+    nrff::Ingest(capture, options, artifact);
     artifact.Commit();
   });
 }

@@ -10,6 +10,7 @@
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "pipeline/progress.h"
+#include "sfm/masks.h"
 
 namespace nrff {
 
@@ -44,10 +45,32 @@ void ForEachPhoto(const std::string& what, size_t n_photos, int n_threads, const
 }
 
 Image ReadCapturedPhoto(const Capture& capture, const CaptureImage& photo) {
-  const std::filesystem::path file = capture.root / photo.path;
+  const std::filesystem::path file = capture.FileOf(photo);
   if (HashFile(file) != photo.hash)
     throw InputError(EscapePath(file) + " has changed since it was ingested: run ingest again");
-  return ReadImageOriented(file, photo.info.orientation);
+  Image image = ReadImageOriented(file, photo.info.orientation);
+  if (photo.mask.empty()) return image;
+  const std::filesystem::path mask = capture.root / photo.mask;
+  if (HashFile(mask) != photo.mask_hash)
+    throw InputError(EscapePath(mask) + " has changed since it was ingested: run ingest again");
+  ApplyMask(mask, photo.info.orientation, image);
+  return image;
+}
+
+Image ResampledPhoto(const Capture& capture, const CaptureImage& photo, const Lens& lens, const PinholeTarget& target) {
+  const Image image = ReadCapturedPhoto(capture, photo);
+  Image resampled = Resample(image, lens, target);
+  if (resampled.channels == 3 || capture.masks == Masks::kBackground) return resampled;
+  const Image colours = Resample(WithoutAlpha(image), lens, target);
+  for (size_t i = 0; i < colours.pixels.size(); ++i) resampled.pixels[i / 3 * 4 + i % 3] = colours.pixels[i];
+  return resampled;
+}
+
+Image WithoutAlpha(const Image& image) {
+  if (image.channels == 3) return image;
+  Image colours{image.width, image.height, 3, std::vector<uint8_t>(image.pixels.size() / 4 * 3)};
+  for (size_t i = 0; i < colours.pixels.size(); ++i) colours.pixels[i] = image.pixels[i / 3 * 4 + i % 3];
+  return colours;
 }
 
 }  // namespace nrff

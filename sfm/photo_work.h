@@ -6,7 +6,9 @@
 #include <string>
 
 #include "sfm/capture.h"
+#include "sfm/distortion.h"
 #include "sfm/image_io.h"
+#include "sfm/undistort.h"
 
 namespace nrff {
 
@@ -14,7 +16,14 @@ namespace nrff {
 // exception ends the work and is thrown on.
 void ForEachPhoto(const std::string& what, size_t n_photos, int n_threads, const std::function<void(size_t)>& work);
 
-// The photo's pixels, oriented. Throws InputError when the file changed since it was ingested.
+// The photo's pixels, oriented, with its mask as alpha. Throws InputError when one of the files changed since it was
+// ingested.
 Image ReadCapturedPhoto(const Capture& capture, const CaptureImage& photo);
+
+// Resample (undistort.h) of that. Where masks say which pixels count, colours are those of the whole photo and alpha is
+// the share of a pixel that counts.
+Image ResampledPhoto(const Capture& capture, const CaptureImage& photo, const Lens& lens, const PinholeTarget& target);
+
+Image WithoutAlpha(const Image& image);
 
 }  // namespace nrff

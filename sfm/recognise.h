@@ -3,7 +3,7 @@
 //   transforms  transforms.json, or transforms_train.json with transforms_test.json      (transforms_json.h)
 //   nsvf        intrinsics.txt and pose/                                                  (nsvf.h)
 //   colmap      a COLMAP model with its photos                                            (colmap_source.h)
-//   photos      files named like photos, in sub-folders too
+//   photos      files named like photos, in sub-folders too, and videos; or one video alone
 //
 // The first that fits is taken: poses win over photos, explicit splits over none.
 #pragma once

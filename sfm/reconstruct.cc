@@ -134,6 +134,8 @@ class Reconstruction {
                                      {"SiftExtraction.num_threads", Threads()},
                                      {"SiftExtraction.max_num_features", std::to_string(settings_.max_features)},
                                      {"SiftExtraction.first_octave", std::to_string(settings_.first_octave)}});
+      if (std::any_of(photos.begin(), photos.end(), [](const auto* photo) { return photo->info.channels == 4; }))
+        options.emplace_back("ImageReader.mask_path", MasksOfWorkingPhotos(photos_).native());
       if (settings_.peak_threshold > 0)
         options.emplace_back("SiftExtraction.peak_threshold", Number(settings_.peak_threshold));
       if (const auto id = CameraOf(database, camera)) {
@@ -240,7 +242,10 @@ class Reconstruction {
     artifact_.SaveSeconds();
     const std::vector<uint32_t> ids = ImageIds(attempt.database);
     const bool any_holds = std::any_of(bridges.begin(), bridges.end(), [&](const ImagePair& pair) {
-      return attempt.database.verified_matches.at(std::minmax({ids[size_t(pair.first)], ids[size_t(pair.second)]})) > 0;
+      const auto matches =
+          attempt.database.verified_matches.find(std::minmax({ids[size_t(pair.first)], ids[size_t(pair.second)]}));
+      return matches != attempt.database.verified_matches.end() &&
+             matches->second > 0;  // none of photos without features
     });
     if (!any_holds) return;
     std::vector<ColmapModel> joined = Map("joined", attempt);

@@ -18,6 +18,7 @@
 #include "sfm/sparse_depth.h"
 #include "sfm/transforms_json.h"
 #include "sfm/undistort.h"
+#include "sfm/view_exposure.h"
 
 namespace nrff {
 namespace {
@@ -106,7 +107,7 @@ NormaliseInput NormalisationInput(const Capture& capture, const ColmapModel& mod
   input.plain_background = capture.background != Background::kNone;
   for (const auto& [id, point] : model.points) input.points.push_back(point.position);
   for (const PosedPhoto& p : posed) {
-    input.masked |= p.photo->info.channels == 4;
+    input.masked |= p.photo->info.channels == 4 && capture.masks == Masks::kBackground;
     const PinholeTarget& target = p.camera->target;
     input.cameras.push_back({p.photo->Name(), p.image->rotation.conjugate().toRotationMatrix(), p.image->Center(),
                              std::atan(std::min(target.width / target.fx, target.height / target.fy) / 2)});
@@ -150,8 +151,20 @@ Scene MakeScene(const Capture& capture, const std::vector<PosedPhoto>& posed, co
   uint64_t offset = 0;
   for (const PosedPhoto& p : posed) {
     const PinholeTarget& target = p.camera->target;
-    View view{p.photo->id, p.photo->Name(), p.photo->split, target.width, target.height, p.photo->info.channels,
-              offset,      target.fx,       target.fy,      target.cx,    target.cy,     SceneFromCamera(*p.image, n)};
+    View view;
+    view.id = p.photo->id;
+    view.name = p.photo->Name();
+    view.split = p.photo->split;
+    view.width = target.width;
+    view.height = target.height;
+    view.channels = p.photo->info.channels;
+    view.masked = view.channels == 4 && capture.masks == Masks::kIgnore;
+    view.pack_offset = offset;
+    view.fx = target.fx;
+    view.fy = target.fy;
+    view.cx = target.cx;
+    view.cy = target.cy;
+    view.scene_from_camera = SceneFromCamera(*p.image, n);
     offset += view.PixelBytes();
     scene.views.push_back(std::move(view));
   }
@@ -186,11 +199,34 @@ ColmapModel PinholeModel(const ColmapModel& model, const std::vector<PosedPhoto>
   return pinhole;
 }
 
-std::vector<SparseDepth> SparseDepths(const ColmapModel& pinhole, const std::vector<PosedPhoto>& posed,
-                                      const Scene& scene, const Eigen::Matrix4d& scene_from_world) {
-  std::map<uint32_t, uint32_t> view_of_image;
-  for (size_t i = 0; i < posed.size(); ++i) view_of_image[posed[i].image->id] = uint32_t(i);
-  return MeasureSparseDepths(pinhole, view_of_image, scene, scene_from_world);
+// The model without what views show where they do not count.
+ColmapModel WithoutMasked(ColmapModel pinhole, const std::map<uint32_t, uint32_t>& view_of_image, const Scene& scene,
+                          const ImagePack& pack) {
+  for (auto& [id, point] : pinhole.points) {
+    std::erase_if(point.track, [&](const auto& element) {
+      const View& view = scene.views[view_of_image.at(element.first)];
+      if (!view.masked) return false;
+      const ColmapObservation& at = pinhole.images.at(element.first).observations[element.second];
+      if (!(at.x >= 0 && at.y >= 0 && at.x < view.width && at.y < view.height)) return true;
+      return pack.Pixels(view)[4 * (int64_t(at.y) * view.width + int64_t(at.x)) + 3] != 255;
+    });
+  }
+  return pinhole;
+}
+
+// Gives the views their colour gains.
+void MeasureExposures(const ColmapModel& pinhole, const std::vector<PosedPhoto>& posed,
+                      const std::map<uint32_t, uint32_t>& view_of_image, const ImagePack& pack, Scene& scene,
+                      Json& facts) {
+  std::vector<WrittenExposure> written;
+  for (const PosedPhoto& p : posed) {
+    const ImageInfo& info = p.photo->info;
+    written.push_back({info.exposure_seconds, info.f_number, info.iso});
+  }
+  const ViewExposures exposures = MeasureViewExposures(pinhole, view_of_image, scene, pack, written);
+  for (size_t i = 0; i < scene.views.size(); ++i) scene.views[i].colour_gain = exposures.gain[i];
+  facts["exposure_source"] = exposures.source;
+  facts["exposure_spread_ev"] = ExposureSpread(scene);
 }
 
 void WritePly(const ColmapModel& model, const Eigen::Matrix4d& scene_from_world, const fs::path& file) {
@@ -219,17 +255,22 @@ void WriteScene(const fs::path& ingest_dir, const fs::path& model_dir, const Pos
 
   const Normalisation normalisation = Normalise(NormalisationInput(capture, model, posed), options.contraction);
   artifact.AddDecision(normalisation.contraction);
-  const Scene scene = MakeScene(capture, posed, normalisation);
+  Scene scene = MakeScene(capture, posed, normalisation);
 
   std::vector<PackEntry> entries;
   for (size_t i = 0; i < posed.size(); ++i) {
     entries.push_back({posed[i].photo, &posed[i].camera->lens, &posed[i].camera->target, scene.views[i].pack_offset});
   }
   WriteImagePack(artifact.dir() / kPackFile, PackBytes(scene), capture, entries, options.n_threads);
+  const ColmapModel pinhole = PinholeModel(model, posed);
+  std::map<uint32_t, uint32_t> view_of_image;
+  for (size_t i = 0; i < posed.size(); ++i) view_of_image[posed[i].image->id] = uint32_t(i);
+  const ImagePack pack(artifact.dir());
+  MeasureExposures(pinhole, posed, view_of_image, pack, scene, artifact.facts());
   SaveScene(scene, artifact.dir());
 
-  const ColmapModel pinhole = PinholeModel(model, posed);
-  const std::vector<SparseDepth> depths = SparseDepths(pinhole, posed, scene, normalisation.scene_from_world);
+  const std::vector<SparseDepth> depths = MeasureSparseDepths(WithoutMasked(pinhole, view_of_image, scene, pack),
+                                                              view_of_image, scene, normalisation.scene_from_world);
   SaveSparseDepths(depths, artifact.dir());
   WritePly(model, normalisation.scene_from_world, artifact.dir() / "points.ply");
   fs::create_directories(artifact.dir() / "sparse");

@@ -15,15 +15,21 @@
 namespace nrff {
 
 struct SourceImage {
-  std::filesystem::path path;  // relative to Source::root
-  std::optional<Split> split;  // where the data set has one of its own
+  std::filesystem::path path;    // relative to Source::root
+  std::optional<Split> split;    // where the data set has one of its own
+  std::filesystem::path mask{};  // as path (masks.h); empty: none
+  bool extracted = false;        // from a video: path is relative to the ingest artifact
+  std::string video{};           // then: its name, escaped
 };
 
 struct Source {
-  std::string kind;      // photos | transforms | nsvf | colmap
-  std::string evidence;  // what it was recognised by: "transforms.json with 67 frames"
+  std::string kind;             // photos | transforms | nsvf | colmap
+  std::string evidence;         // what it was recognised by: "transforms.json with 67 frames"
+  std::string name;             // of the capture, escaped
+  std::filesystem::path given;  // the folder or the video
   std::filesystem::path root;
-  std::vector<SourceImage> images;  // RecogniseCapture sorts them by path and rejects what is named twice
+  std::vector<std::filesystem::path> videos;  // relative to root; their frames become images (video.h)
+  std::vector<SourceImage> images;            // RecogniseCapture sorts them by path and rejects what is named twice
   std::vector<RejectedFile> rejected;
   // Poses, where given: image names are the paths of `images` (their bytes), in the capture's world frame. The cameras'
   // sizes are those that the poses were made for; the photos may have been resized since.

@@ -266,6 +266,13 @@ void AddFrames(const std::filesystem::path& file, std::optional<Split> split, So
       source.rejected.push_back(Rejection(source.root, photo, error));
       continue;
     }
+    if (frame.contains("mask_path") && frame["mask_path"].is_string()) {
+      image.mask = FindFramePhoto(source.root, frame["mask_path"]);
+      if (image.mask.empty()) {
+        source.rejected.push_back({EscapePath(frame["mask_path"].get<std::string>()),
+                                   "named by " + EscapePath(file.filename()) + " as a mask but does not exist"});
+      }
+    }
     if (synthetic && info.channels == 4) {
       source.background = Background::kWhite;
     }

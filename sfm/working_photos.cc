@@ -21,8 +21,13 @@ Lens PlainLens(int width, int height) {
       {0, CameraModel::kSimplePinhole, width, height, {double(std::max(width, height)), width / 2.0, height / 2.0}});
 }
 
-void DropAlpha(Image& image, Background background) {
+// Composited onto the background; what does not count stays as it is, since features are found beside it.
+void DropAlpha(Image& image, Masks masks, Background background) {
   if (image.channels == 3) return;
+  if (masks == Masks::kIgnore) {
+    image = WithoutAlpha(image);
+    return;
+  }
   const int behind = background == Background::kWhite ? 255 : 0;
   std::vector<uint8_t> rgb(image.pixels.size() / 4 * 3);
   for (size_t i = 0; i < rgb.size(); ++i) {
@@ -31,6 +36,13 @@ void DropAlpha(Image& image, Background background) {
   }
   image.pixels = std::move(rgb);
   image.channels = 3;
+}
+
+// White where at least half of a pixel counts.
+Image MaskOf(const Image& image) {
+  Image mask{image.width, image.height, 1, std::vector<uint8_t>(image.pixels.size() / 4)};
+  for (size_t i = 0; i < mask.pixels.size(); ++i) mask.pixels[i] = image.pixels[4 * i + 3] >= 128 ? 255 : 0;
+  return mask;
 }
 
 void WritePng(const Image& image, const fs::path& file) {
@@ -55,6 +67,11 @@ std::string WorkingPhotoName(const CaptureImage& photo) {
   return std::to_string(photo.camera) + "/" + photo.id + ".png";
 }
 
+fs::path MasksOfWorkingPhotos(const fs::path& dir) {
+  fs::path masks = dir;
+  return masks += "-masks";
+}
+
 std::string IdOfWorkingPhoto(const std::string& name) { return fs::path(name).stem().string(); }
 
 std::pair<int, int> WorkingSize(int width, int height, int max_size) {
@@ -63,15 +80,19 @@ std::pair<int, int> WorkingSize(int width, int height, int max_size) {
 }
 
 void WriteWorkingPhotos(const Capture& capture, int max_size, int n_threads, const fs::path& dir) {
-  for (const CaptureImage& photo : capture.images)
+  const fs::path masks = MasksOfWorkingPhotos(dir);
+  for (const CaptureImage& photo : capture.images) {
     fs::create_directories((dir / WorkingPhotoName(photo)).parent_path());
+    fs::create_directories((masks / WorkingPhotoName(photo)).parent_path());
+  }
   ForEachPhoto("scaling photos", capture.images.size(), n_threads, [&](size_t i) {
     const CaptureImage& photo = capture.images[i];
     const fs::path file = dir / WorkingPhotoName(photo);
     if (fs::exists(file)) return;
     const Lens lens = PlainLens(photo.info.width, photo.info.height);
-    Image image = Resample(ReadCapturedPhoto(capture, photo), lens, ScaledTarget(lens, max_size));
-    DropAlpha(image, capture.background);
+    Image image = ResampledPhoto(capture, photo, lens, ScaledTarget(lens, max_size));
+    if (image.channels == 4) WritePng(MaskOf(image), masks / (WorkingPhotoName(photo) + ".png"));
+    DropAlpha(image, capture.masks, capture.background);
     WritePng(image, file);
   });
 }

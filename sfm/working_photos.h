@@ -14,8 +14,11 @@ std::string WorkingPhotoName(const CaptureImage& photo);
 std::string IdOfWorkingPhoto(const std::string& name);
 
 // Writes the copies that are not there yet, each atomically, as RGB PNGs (JPEG costs one feature in twenty) whose
-// longer side is at most `max_size` px; transparent pixels show the capture's background (black where it has none).
-// Throws InputError when a photo changed since it was ingested, ResourceError when a copy cannot be written.
+// longer side is at most `max_size` px; pixels before a background show the capture's (black where it has none), pixels
+// that do not count themselves. Masks of photos with an alpha channel go into MasksOfWorkingPhotos(dir), named as
+// COLMAP wants them: NAME.png, black where no features are to be found. Throws InputError when a photo changed since it
+// was ingested, ResourceError when a copy cannot be written.
+std::filesystem::path MasksOfWorkingPhotos(const std::filesystem::path& dir);
 void WriteWorkingPhotos(const Capture& capture, int max_size, int n_threads, const std::filesystem::path& dir);
 
 // Size of the copy of a photo of width × height.

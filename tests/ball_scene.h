@@ -33,7 +33,7 @@ class TrainTest : public ::testing::Test {
   // On the CPU, by the parameters that the state has.
   double HeldOutPsnr(const Trainer& trainer) const {
     const TrainState& state = trainer.state();
-    return HeldOutViews(scene_, pack_, 1).Psnr([&](const Rays& rays) {
+    return HeldOutViews(scene_, pack_, 1).Psnr([&](const View& /*view*/, const Rays& rays) {
       return RenderRays(state.field, state.occupancy, state.map, rays, trainer.EvaluationOptions()).rgb;
     });
   }

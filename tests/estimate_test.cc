@@ -332,7 +332,7 @@ TEST(EstimateWithColmap, ARealCaptureRegisters) {
   TemporaryDirectory dir;
   {
     ArtifactWriter artifact("ingest", dir.path() / "ingest", {}, {});
-    Ingest(photos, 2, artifact);
+    Ingest(photos, {}, artifact);
     artifact.Commit();
   }
   ArtifactWriter artifact("sfm", dir.path() / "sfm", {}, {}, ArtifactWriter::kKeepPartial);

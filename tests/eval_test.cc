@@ -5,6 +5,7 @@
 
 #include <cmath>
 #include <filesystem>
+#include <functional>
 
 #include "eval/evaluate.h"
 #include "eval/image_file.h"
@@ -34,8 +35,9 @@ class EvaluateTest : public testing::Test {
 
   static uint8_t Pixel(int view, size_t i) { return uint8_t((view * 31 + i * 7) % 200); }
 
+  // counts: of masked views, the alpha of a pixel.
   void MakeScene(int n_test, int width = 16, int height = 12, int channels = 3,
-                 Background background = Background::kNone) {
+                 Background background = Background::kNone, const std::function<int(size_t)>& counts = {}) {
     Scene scene;
     scene.name = "made";
     scene.background = background;
@@ -47,11 +49,13 @@ class EvaluateTest : public testing::Test {
       view.name = "photo \"" + std::to_string(v) + "\".jpg";
       view.split = v == 0 ? Split::kTrain : Split::kTest;
       view.width = width, view.height = height, view.channels = channels;
+      view.masked = bool(counts);
       view.pack_offset = pixels.size();
       view.fx = view.fy = 20, view.cx = width / 2.0, view.cy = height / 2.0;
       view.scene_from_camera = scene.scene_from_world;
       for (size_t i = 0; i < view.PixelBytes(); ++i) {
-        pixels.push_back(char(channels == 4 && i % 4 == 3 ? 51 : Pixel(v, i)));
+        const bool is_alpha = channels == 4 && i % 4 == 3;
+        pixels.push_back(char(!is_alpha ? Pixel(v, i) : counts ? counts(i / 4) : 51));
       }
       scene.views.push_back(view);
     }
@@ -150,6 +154,25 @@ TEST_F(EvaluateTest, AlphaIsCompositedOnTheScenesBackground) {
     }
     EXPECT_EQ(result["protocol"]["background"], behind == 255 ? "white" : "black");
   }
+}
+
+// The left half of every pixel row does not count, whatever it shows.
+TEST_F(EvaluateTest, PixelsThatDoNotCountAreInTheFigureOfTheWholeImageAlone) {
+  const auto left = [](size_t pixel) { return pixel % 16 < 8; };
+  MakeScene(2, 16, 12, 4, Background::kNone, [&](size_t pixel) { return left(pixel) ? 0 : 255; });
+  MakeRenders(2, [&](int v, size_t i) {
+    const int photo = Pixel(v, i / 3 * 4 + i % 3);
+    return uint8_t(left(i / 3) ? photo ^ 64 : photo ^ 1);  // 64 levels and one level off
+  });
+  const Json result = Run();
+  EXPECT_NEAR(result["metrics"]["psnr"], 20 * std::log10(255.0), 1e-9);
+  EXPECT_NEAR(result["metrics"]["variants"]["psnr_whole"], -10 * std::log10((64 * 64 + 1) / (2 * 255. * 255)), 1e-9);
+  EXPECT_EQ(result["protocol"]["masked"], true);
+  EXPECT_EQ(result["protocol"]["background"], "none");
+  EXPECT_TRUE(result["metrics"]["variants"]["psnr_foreground"].is_null());
+
+  MakeScene(1, 16, 12, 4, Background::kNone, [](size_t) { return 254; });
+  EXPECT_EQ(Run()["metrics"]["n_images"], 0) << "nothing of it counts";
 }
 
 TEST_F(EvaluateTest, WithoutHeldOutViewFiguresAreNullWithTheReason) {

@@ -26,7 +26,8 @@ constexpr int kOccupancyResolution = 32;
 constexpr uint64_t kSeed = 7;
 constexpr size_t kPlenty = size_t{1} << 34;
 
-// Six cameras around the origin, looking at it, whose pixels are noise; every other one has alpha.
+// Six cameras around the origin, looking at it, whose pixels are noise; every other one has alpha, and of one of these
+// about half of the pixels count.
 Scene WriteNoiseScene(const std::filesystem::path& dir) {
   Scene scene;
   scene.near = 0.1;
@@ -39,6 +40,7 @@ Scene WriteNoiseScene(const std::filesystem::path& dir) {
     view.width = 20 + i;
     view.height = 16;
     view.channels = i % 2 == 0 ? 3 : 4;
+    view.masked = i == 3;
     view.pack_offset = offset;
     view.fx = view.fy = 18;
     view.cx = 9.5 + i;
@@ -46,7 +48,10 @@ Scene WriteNoiseScene(const std::filesystem::path& dir) {
     view.scene_from_camera = {x[0], 0, z[0], -2.5 * z[0], x[1], 0, z[1], -2.5 * z[1], 0, -1, 0, 0.1 * i, 0, 0, 0, 1};
     scene.views.push_back(view);
     const int64_t n = int64_t(view.width) * view.height * view.channels;
-    for (int64_t k = 0; k < n; ++k) pack.put(char(RandomBits(1, 2, offset + k) & 0xff));
+    for (int64_t k = 0; k < n; ++k) {
+      const uint64_t bits = RandomBits(1, 2, offset + k);
+      pack.put(char(view.masked && k % 4 == 3 && bits % 2 == 0 ? 255 : bits & 0xff));
+    }
     offset += n;
   }
   return scene;
@@ -72,6 +77,7 @@ struct Sides {
         model(MakeGpuModel(field)),
         map(SceneMap::FromBox({-1, -1.1, -0.9}, {1, 0.9, 1}, c.unbounded)),
         occupancy(kOccupancyResolution) {
+    SetCorrections(field);
     gpu_scene = MakeGpuScene(pixels, depths);
     options.step = 0.05;
     options.near = scene.near;
@@ -95,6 +101,8 @@ struct Sides {
     control.density_l1 = float(c.weights.density_l1);
     control.sparsity = float(c.weights.sparsity);
     control.depth = float(c.weights.depth);
+    control.correction = float(c.weights.correction);
+    control.correction_rate = 3e-3;
     control.grid_rate = 0.02;
     control.network_rate = 1e-3;
   }
@@ -186,7 +194,10 @@ TEST_P(GpuStepTest, FindsWhatTheCpuFindsAndItsGradients) {
         << sides.field.parameters()[i].name << " " << largest;
     // Adam by the letter of its own moments.
     const Tensor second = LikeParameters(sides, v)[i];
-    const double rate = sides.field.parameters()[i].is_grid ? sides.control.grid_rate : sides.control.network_rate;
+    const NrffField::Parameter& parameter = sides.field.parameters()[i];
+    const double rate = parameter.is_grid                                           ? sides.control.grid_rate
+                        : parameter.value.is_same(sides.field.colour_corrections()) ? sides.control.correction_rate
+                                                                                    : sides.control.network_rate;
     const Tensor update =
         rate * (moments[i] / (1 - sides.control.beta1)) / ((second / (1 - sides.control.beta2)).sqrt() + 1e-8);
     const Tensor off = values[i] - (sides.field.parameters()[i].value.detach() - update);
@@ -194,29 +205,8 @@ TEST_P(GpuStepTest, FindsWhatTheCpuFindsAndItsGradients) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(
-    Model, GpuStepTest,
-    ::testing::Values(StepCase{"ColourAlone", false, Activation::kRelu, {}},
-                      StepCase{"Paper", false, Activation::kGelu, {.orientation = 0.3, .density_l1 = 8e-5}},
-                      StepCase{"Sparsity", false, Activation::kRelu, {.sparsity = 0.1}},
-                      StepCase{"StopsEarly", false, Activation::kRelu, {.orientation = 0.3}, 0.02, 0.02},
-                      StepCase{"UnboundedWithDepths",
-                               true,
-                               Activation::kRelu,
-                               {.orientation = 0.3, .sparsity = 1e-3, .depth = 0.1},
-                               0.01,
-                               0.01,
-                               100},
-                      With("DiffuseAlone", [](FieldConfig& f) { f.directional_encoding = DirectionalEncoding::kNone; }),
-                      With("VectorMatrixDecoded",
-                           [](FieldConfig& f) {
-                             f.levels = 1;
-                             f.base_resolution = f.max_resolution;
-                             f.density_channels = 8;
-                             f.appearance_channels = 12;
-                             f.decoded_features = 7;
-                           })),
-    [](const auto& info) { return info.param.name; });
+INSTANTIATE_TEST_SUITE_P(Model, GpuStepTest, ::testing::ValuesIn(CommonStepCases()),
+                         [](const auto& info) { return info.param.name; });
 
 }  // namespace
 }  // namespace nrff

@@ -132,7 +132,8 @@ TEST_F(GpuTraining, ShowsHeldOutViewsByItsMean) {
   while (!trainer.Done()) trainer.Step();
   trainer.Sync();
   const HeldOutViews held_out(scene_, pack_, 1);
-  const double on_gpu = held_out.Psnr([&](const Rays& rays) { return trainer.RenderMean(rays); });
+  const double on_gpu =
+      held_out.Psnr([&](const View& view, const Rays& rays) { return trainer.RenderMean(view, rays); });
   trainer.state().SwapAverage();
   EXPECT_NEAR(on_gpu, HeldOutPsnr(trainer), 0.1);
 }

@@ -37,10 +37,11 @@ class IngestTest : public ::testing::Test {
     }
   }
 
-  Capture RunIngest() {
+  Capture RunIngest(IngestOptions options = {}) {
     const std::filesystem::path out = work_.path() / "ingest";
     ArtifactWriter artifact("ingest", out, {}, {CaptureInput(root_)});
-    Ingest(root_, 2, artifact);
+    options.n_threads = 2;
+    Ingest(root_, options, artifact);
     artifact.Commit();
     manifest_ = RequireArtifact(out, "ingest");
     model_ = std::filesystem::exists(out / kGivenModelDir) ? ReadColmapModel(out / kGivenModelDir) : ColmapModel{};

@@ -1,9 +1,13 @@
 // What training steps are tested on, whoever makes them.
 #pragma once
 
+#include <c10/core/GradMode.h>
+
 #include <ostream>
+#include <vector>
 
 #include "model/training_step.h"
+#include "render/kernels/random.h"
 
 namespace nrff {
 
@@ -24,6 +28,48 @@ inline StepCase With(const char* name, void (*change)(FieldConfig&)) {
   StepCase c{name, false, Activation::kGelu, {.orientation = 0.3, .density_l1 = 8e-5}};
   c.change = change;
   return c;
+}
+
+inline constexpr int kCorrectedViews = 6;
+inline StepCase ColourCorrections() {
+  StepCase c = With("ColourCorrections", [](FieldConfig& f) { f.corrected_views = kCorrectedViews; });
+  c.weights.correction = 0.02;
+  return c;
+}
+
+// Views with colours of their own, which start at none: corrections that make a difference, the same for every field.
+inline void SetCorrections(const NrffField& field) {
+  if (field.config().corrected_views == 0) return;
+  const c10::NoGradGuard no_grad;
+  const torch::Tensor& corrections = field.colour_corrections();
+  for (int64_t i = 0; i < corrections.numel(); ++i) {
+    corrections.view({-1})[i] = 0.3 * (Uniform(5, 1, uint64_t(i)) - 0.5F);
+  }
+}
+
+// What both sides of a step have.
+inline std::vector<StepCase> CommonStepCases() {
+  return {{"ColourAlone", false, Activation::kRelu, {}},
+          {"Paper", false, Activation::kGelu, {.orientation = 0.3, .density_l1 = 8e-5}},
+          {"Sparsity", false, Activation::kRelu, {.sparsity = 0.1}},
+          {"StopsEarly", false, Activation::kRelu, {.orientation = 0.3}, 0.02, 0.02},
+          {"UnboundedWithDepths",
+           true,
+           Activation::kRelu,
+           {.orientation = 0.3, .sparsity = 1e-3, .depth = 0.1},
+           0.01,
+           0.01,
+           100},
+          With("DiffuseAlone", [](FieldConfig& f) { f.directional_encoding = DirectionalEncoding::kNone; }),
+          With("VectorMatrixDecoded",
+               [](FieldConfig& f) {
+                 f.levels = 1;
+                 f.base_resolution = f.max_resolution;
+                 f.density_channels = 8;
+                 f.appearance_channels = 12;
+                 f.decoded_features = 7;
+               }),
+          ColourCorrections()};
 }
 
 // Sizes that divide nothing.

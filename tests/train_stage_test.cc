@@ -38,6 +38,7 @@ TEST_F(TrainStage, SettingsAndForcedDecisionsAreInTheModelAndTheManifest) {
   request.settings = "field.levels=3 train.depth_rays=16";
   request.fine_levels = false;
   request.sparse_depth = true;
+  request.exposure_correction = true;
   RunTraining(request, {});
   const Manifest manifest = RequireArtifact(request.out, "train");
   const Json& settings = manifest.facts.at("settings");
@@ -45,6 +46,7 @@ TEST_F(TrainStage, SettingsAndForcedDecisionsAreInTheModelAndTheManifest) {
   EXPECT_GT(settings.at("train").at("depth_weight"), 0);
   EXPECT_EQ(settings.at("field").at("max_resolution"), 32) << "an octave below tiny's 64";
   EXPECT_EQ(settings.at("field").at("levels"), 2);
+  EXPECT_EQ(settings.at("field").at("corrected_views"), 6);
   for (const Decision& decision : manifest.decisions) {
     if (decision.feature == "cuda") continue;
     EXPECT_EQ(decision.reason, "forced by an option") << decision.feature;

@@ -7,6 +7,7 @@
 
 #include <cmath>
 #include <fstream>
+#include <map>
 #include <numbers>
 
 #include "model/checkpoint.h"
@@ -130,7 +131,7 @@ TEST_F(TrainTest, ModelReadBackShowsTheSame) {
   SaveModel(out.path(), trainer.state(), trainer.EvaluationOptions());
   const std::unique_ptr<LoadedModel> model = LoadModel(out.path());
   EXPECT_EQ(model->field->config(), trainer.preset().field);
-  const double read_back = HeldOutViews(scene_, pack_, 1).Psnr([&](const Rays& rays) {
+  const double read_back = HeldOutViews(scene_, pack_, 1).Psnr([&](const View& /*view*/, const Rays& rays) {
     return RenderRays(*model->field, model->occupancy, model->map, rays, model->options).rgb;
   });
   EXPECT_EQ(read_back, HeldOutPsnr(trainer));
@@ -282,6 +283,92 @@ TEST(DepthLossTest, IsTheLightThatDoesNotEndAtTheSurface) {
   EXPECT_NEAR(loss.item<double>(), 1 - (0.2 * k[0] + 0.5 * k[1] + 0.1 * k[2] + 0.4 * k[3]) / 3, 1e-15);
   loss.backward();
   for (int i = 0; i < 4; ++i) EXPECT_NEAR(weights.grad()[i].item<double>(), -k[i] / 3, 1e-15);
+}
+
+// Training views 0.7 and 1.43 times as bright by turns; held-out views as they are.
+TEST_F(TrainTest, TheFieldKeepsTheMeanExposureAndViewsTheirOwn) {
+  const TemporaryDirectory other;
+  Scene scene = scene_;
+  std::string bytes = ReadFile(directory_.path() / kPackFile);
+  for (const int v : scene.ViewsOf(Split::kTrain)) {
+    const double gain = v % 2 == 0 ? 0.7 : 1 / 0.7;
+    for (uint64_t i = 0; i < scene.views[v].PixelBytes(); ++i) {
+      char& value = bytes[scene.views[v].pack_offset + i];
+      if (i % 4 != 3) value = char(uint8_t(std::min(255., std::lround(0.7 * gain * uint8_t(value)) + 0.)));
+    }
+  }
+  for (const int v : scene.ViewsOf(Split::kTest)) {
+    for (uint64_t i = 0; i < scene.views[v].PixelBytes(); ++i) {
+      char& value = bytes[scene.views[v].pack_offset + i];
+      if (i % 4 != 3) value = char(uint8_t(std::lround(0.7 * uint8_t(value))));
+    }
+  }
+  WriteFileAtomically(other.path() / kPackFile, bytes);
+  const ImagePack pack(other.path());
+  const auto held_out_psnr = [&](bool corrected, bool gains_given) {
+    for (View& view : scene.views) view.colour_gain = {1, 1, 1};
+    for (const int v : scene.ViewsOf(Split::kTrain)) {
+      if (gains_given) scene.views[v].colour_gain.fill(v % 2 == 0 ? 0.7 : 1 / 0.7);
+    }
+    Preset preset = BallPreset(300);
+    preset.field.corrected_views = corrected ? 6 : 0;
+    Trainer trainer(scene, pack, {}, preset, {});
+    while (!trainer.Done()) trainer.Step();
+    return HeldOutViews(scene, pack, 1).Psnr([&](const View& view, const Rays& rays) {
+      return trainer.RenderMean(view, rays);
+    });
+  };
+  const double plain = held_out_psnr(false, false), learnt = held_out_psnr(true, false),
+               given = held_out_psnr(true, true);
+  EXPECT_GT(learnt, plain + 1);
+  EXPECT_GT(given, plain + 1);
+}
+
+// What does not count is drawn never, all else alike.
+TEST_F(TrainTest, PixelsThatDoNotCountAreNotLearntFrom) {
+  const TemporaryDirectory other;
+  Scene scene = scene_;
+  std::string bytes = ReadFile(directory_.path() / kPackFile);
+  View& view = scene.views[2];
+  view.masked = true;
+  const auto counts = [](int64_t pixel) { return pixel % 7 != 0 && pixel % kBallViewSize > 3; };
+  constexpr int64_t kPixels = kBallViewSize * kBallViewSize;
+  for (int64_t i = 0; i < kPixels; ++i) bytes[view.pack_offset + 4 * i + 3] = char(counts(i) ? 255 : 254);
+  WriteFileAtomically(other.path() / kPackFile, bytes);
+  const ImagePack pack(other.path());
+  const PixelSource source({scene.views[1], view}, pack, 1);
+  const auto n_counting = int64_t(source.pixels_before()[2] - source.pixels_before()[1]);
+  int64_t expected = 0;
+  for (int64_t i = 0; i < kPixels; ++i) expected += counts(i);
+  EXPECT_EQ(n_counting, expected);
+
+  constexpr int64_t kRays = 200000;
+  const PixelSource::Batch batch = source.Draw(kRays, 3, 0);
+  // A ray's pixel, found again by the ray through it.
+  std::vector<int64_t> drawn(kPixels);
+  int64_t n_masked = 0;
+  std::map<std::array<float, 3>, int64_t> pixel_of;
+  for (int64_t i = 0; i < kPixels; ++i) {
+    const auto at =
+        source.At(torch::tensor({1, int(i % kBallViewSize), int(i / kBallViewSize)}, torch::kInt).view({1, 3}));
+    const auto* d = at.rays.directions.const_data_ptr<float>();
+    pixel_of[{d[0], d[1], d[2]}] = i;
+  }
+  for (int64_t r = 0; r < kRays; ++r) {
+    if (batch.view[r].item<int>() != 1) continue;
+    ++n_masked;
+    const auto* d = batch.rays.directions.const_data_ptr<float>() + 3 * r;
+    ++drawn.at(size_t(pixel_of.at({d[0], d[1], d[2]})));
+  }
+  EXPECT_NEAR(double(n_masked) / kRays, double(expected) / double(expected + kPixels), 0.005);
+  const double mean = double(n_masked) / double(expected);
+  for (int64_t i = 0; i < kPixels; ++i) {
+    if (counts(i)) {
+      ASSERT_NEAR(double(drawn[size_t(i)]), mean, 6 * std::sqrt(mean)) << i;
+    } else {
+      ASSERT_EQ(drawn[size_t(i)], 0) << i;
+    }
+  }
 }
 
 TEST_F(TrainTest, SparseDepthsBringTheSurfaceToWhereTheyAre) {

@@ -62,6 +62,7 @@ TEST_P(TrainingStepTest, HasAutogradsGradientsInDouble) {
   const StepCase& c = GetParam();
   const FieldConfig config = SmallField(c);
   const NrffField field(config, torch::kFloat, 3), exact(config, torch::kDouble, 3);
+  for (const NrffField* f : {&field, &exact}) SetCorrections(*f);
   const SceneMap map = SceneMap::FromBox({-1, -1.1, -0.9}, {1, 0.9, 1}, c.unbounded);
   const OccupancyGrid occupancy(32);
   RenderOptions options;
@@ -72,7 +73,8 @@ TEST_P(TrainingStepTest, HasAutogradsGradientsInDouble) {
   options.weight_threshold = c.threshold;
   options.background = 0.4;
   options.jitter = {7, 5};
-  const PixelSource::Batch batch{Aimed(300, 1), at::rand({300, 3}, torch::kFloat)};
+  const PixelSource::Batch batch{Aimed(300, 1), at::rand({300, 3}, torch::kFloat),
+                                 at::randint(kCorrectedViews, {300}, torch::kInt)};
   std::optional<DepthSource::Batch> depths;
   if (c.n_depths > 0) {
     depths = DepthSource::Batch{Aimed(c.n_depths, 2), 2 + at::rand({c.n_depths}, torch::kFloat),
@@ -90,12 +92,19 @@ TEST_P(TrainingStepTest, HasAutogradsGradientsInDouble) {
       RenderSamples(exact, InDouble(MarchRays(occupancy, map, batch.rays, options)), in_double(batch.rays), options);
   // The sparsity loss sees what lies before the stop.
   const Tensor seen = rendered.weights > 0;
-  const Tensor mse = MseLoss(rendered.rgb, batch.target.to(torch::kDouble));
+  Tensor rgb = rendered.rgb;
+  if (config.corrected_views > 0) {
+    const Tensor opacity = rendered.opacity.unsqueeze(1), light = rgb - (1 - opacity) * options.background;
+    const Tensor correction = exact.colour_corrections().index_select(0, batch.view).view({-1, 3, 4});
+    rgb = rgb + correction.matmul(at::cat({light, opacity}, 1).unsqueeze(2)).squeeze(2);
+  }
+  const Tensor mse = MseLoss(rgb, batch.target.to(torch::kDouble));
   const Tensor orientation =
       OrientationLoss(rendered.shaded_weights, rendered.shaded_normals, rendered.shaded_directions);
   const Tensor sparsity = SparsityLoss(rendered.sigma.index({seen}), rendered.delta.index({seen}), 300);
   Tensor loss = mse + c.weights.orientation * orientation + c.weights.density_l1 * exact.DensityL1() +
                 c.weights.sparsity * sparsity;
+  if (config.corrected_views > 0) loss = loss + c.weights.correction * CorrectionLoss(exact.colour_corrections());
   if (depths) {
     RenderOptions depth_options = options;
     depth_options.jitter_purpose = RandomStream::kDepthJitter;
@@ -120,34 +129,18 @@ TEST_P(TrainingStepTest, HasAutogradsGradientsInDouble) {
   }
 }
 
+const auto kCaseName = [](const auto& info) { return info.param.name; };
+
+INSTANTIATE_TEST_SUITE_P(Model, TrainingStepTest, ::testing::ValuesIn(CommonStepCases()), kCaseName);
+
 INSTANTIATE_TEST_SUITE_P(
-    Model, TrainingStepTest,
-    ::testing::Values(StepCase{"ColourAlone", false, Activation::kRelu, {}},
-                      StepCase{"Paper", false, Activation::kGelu, {.orientation = 0.3, .density_l1 = 8e-5}},
-                      StepCase{"Sparsity", false, Activation::kRelu, {.sparsity = 0.1}},
-                      StepCase{"StopsEarly", false, Activation::kRelu, {.orientation = 0.3}, 0.02, 0.02},
-                      StepCase{"NothingStops", false, Activation::kGelu, {.orientation = 0.3}, 0, 1e-6},
-                      StepCase{"UnboundedWithDepths",
-                               true,
-                               Activation::kRelu,
-                               {.orientation = 0.3, .sparsity = 1e-3, .depth = 0.1},
-                               0.01,
-                               0.01,
-                               100},
+    OnTheCpuAlone, TrainingStepTest,
+    ::testing::Values(StepCase{"NothingStops", false, Activation::kGelu, {.orientation = 0.3}, 0, 1e-6},
                       With("IntegratedDirectionalEncoding",
                            [](FieldConfig& f) { f.directional_encoding = DirectionalEncoding::kIde; }),
                       With("PositionalEncoding",
-                           [](FieldConfig& f) { f.directional_encoding = DirectionalEncoding::kPe; }),
-                      With("DiffuseAlone", [](FieldConfig& f) { f.directional_encoding = DirectionalEncoding::kNone; }),
-                      With("VectorMatrixDecoded",
-                           [](FieldConfig& f) {
-                             f.levels = 1;
-                             f.base_resolution = f.max_resolution;
-                             f.density_channels = 8;
-                             f.appearance_channels = 12;
-                             f.decoded_features = 7;
-                           })),
-    [](const auto& info) { return info.param.name; });
+                           [](FieldConfig& f) { f.directional_encoding = DirectionalEncoding::kPe; })),
+    kCaseName);
 
 }  // namespace
 }  // namespace nrff

@@ -22,11 +22,13 @@ GpuModel MakeGpuModel(const NrffField& field) {
   model.encoding = config.directional_encoding;
   model.bottleneck_width = config.bottleneck_width;
   model.activation = config.activation;
+  model.corrected_views = config.corrected_views;
   for (const NrffField::Parameter& parameter : field.parameters()) {
     model.segments.push_back({model.n_parameters, parameter.value.numel()});
     model.n_parameters += (parameter.value.numel() + kAlignment - 1) / kAlignment * kAlignment;
     if (parameter.is_grid) model.n_grid = model.n_parameters;
   }
+  model.corrections = config.corrected_views > 0 ? model.segments.back().begin : model.n_parameters;
   // Layers follow the grids, each a weight and a bias: the order of NrffField's parameters.
   size_t next = 2;
   const auto layer = [&](const LinearLayer& linear) {
@@ -46,15 +48,25 @@ GpuModel MakeGpuModel(const NrffField& field) {
 
 GpuScene MakeGpuScene(const PixelSource& pixels, const DepthSource& depths) {
   GpuScene scene;
-  scene.pixels_before.push_back(0);
+  scene.pixels_before = pixels.pixels_before();
+  scene.rows_before = pixels.rows_before();
+  int64_t first_row = 0;
   const ImagePack& pack = pixels.pack();
   scene.pack = pack.data();
   scene.pack_bytes = pack.size_bytes();
   for (const View& view : pixels.views()) {
-    device::GpuView gpu{{view.fx, view.fy, view.cx, view.cy, {}}, view.width, view.channels, view.pack_offset};
+    device::GpuView gpu;
+    gpu.camera = {view.fx, view.fy, view.cx, view.cy, {}};
+    gpu.width = view.width;
+    gpu.height = view.height;
+    gpu.n_channels = view.channels;
+    gpu.pack_offset = view.pack_offset;
+    if (view.masked) {
+      gpu.rows_before = first_row;
+      first_row += view.height + 1;
+    }
     std::copy_n(view.scene_from_camera.begin(), 12, gpu.camera.scene_from_camera);
     scene.views.push_back(gpu);
-    scene.pixels_before.push_back(scene.pixels_before.back() + uint64_t(view.width) * view.height);
   }
   scene.depths = depths.targets();
   return scene;

@@ -23,7 +23,8 @@
 namespace nrff {
 
 // A model's shape. Its parameters lie in one array: the density grid, the appearance grid, then the layers' weights
-// [n_out, n_in] and biases; each begins at a multiple of 64 elements, with zeros between.
+// [n_out, n_in] and biases, then the views' colour corrections; each begins at a multiple of 64 elements, with zeros
+// between.
 struct GpuModel {
   struct Layer {
     int n_in = 0, n_out = 0;
@@ -41,9 +42,11 @@ struct GpuModel {
   Lobes lobes;
   int bottleneck_width = 0;
   Activation activation = Activation::kGelu;
+  int corrected_views = 0;
 
   std::vector<Segment> segments;  // of the parameters, in the order of NrffField::parameters()
   int64_t n_grid = 0;             // elements of the grids, what lies between included
+  int64_t corrections = 0;        // where they begin; n_parameters where there are none
   int64_t n_parameters = 0;       // all elements
 };
 
@@ -51,6 +54,7 @@ struct GpuModel {
 struct GpuScene {
   std::vector<device::GpuView> views;
   std::vector<uint64_t> pixels_before;  // [n_views + 1]
+  std::vector<uint32_t> rows_before;    // PixelSource's
   const uint8_t* pack = nullptr;
   size_t pack_bytes = 0;
   std::vector<DepthTarget> depths;

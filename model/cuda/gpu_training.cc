@@ -66,7 +66,7 @@ void GpuTraining::SetOccupancy(const OccupancyGrid& occupancy) { trainer_->SetOc
 
 std::optional<GpuTraining::Found> GpuTraining::Step(const Batch& batch, const SceneMap& map,
                                                     const RenderOptions& options, const LossWeights& weights,
-                                                    const TrainConfig& config, const Rates& rates) {
+                                                    const TrainConfig& config, const LearningRates& rates) {
   device::StepControl control = MakeControl(map, options);
   control.seed = batch.seed;
   control.step = batch.step;
@@ -76,8 +76,10 @@ std::optional<GpuTraining::Found> GpuTraining::Step(const Batch& batch, const Sc
   control.density_l1 = float(weights.density_l1);
   control.sparsity = float(weights.sparsity);
   control.depth = float(weights.depth);
+  control.correction = float(weights.correction);
   control.grid_rate = rates.grid;
   control.network_rate = rates.network;
+  control.correction_rate = rates.correction;
   control.beta1 = config.beta1;
   control.beta2 = config.beta2;
   control.epsilon = config.epsilon;
@@ -116,20 +118,23 @@ GpuTraining::Found GpuTraining::Understand(const device::StepResult& result) con
 
 void GpuTraining::AddToAverage(int64_t n_averaged) { trainer_->AddToAverage(n_averaged); }
 
-Tensor GpuTraining::Render(const TrainState& state, const Rays& rays, const RenderOptions& options) {
+RenderResult GpuTraining::Render(const TrainState& state, const Rays& rays, const RenderOptions& options) {
   UploadParameters(state);
   const int64_t n = rays.origins.size(0);
-  Tensor rgb = at::empty({n, 3}, torch::kFloat);
-  std::vector<float> depth(n), normal(3 * n), opacity(n);
+  RenderResult result;
+  result.rgb = at::empty({n, 3}, torch::kFloat);
+  result.opacity = at::empty({n}, torch::kFloat);
+  std::vector<float> depth(n), normal(3 * n);
   GpuRays of;
   of.n = n;
   of.origins = rays.origins.const_data_ptr<float>();
   of.directions = rays.directions.const_data_ptr<float>();
   OnGpu([&] {
-    return trainer_->Render(of, MakeControl(state.map, options),
-                            {rgb.mutable_data_ptr<float>(), depth.data(), normal.data(), opacity.data()});
+    return trainer_->Render(
+        of, MakeControl(state.map, options),
+        {result.rgb.mutable_data_ptr<float>(), depth.data(), normal.data(), result.opacity.mutable_data_ptr<float>()});
   });
-  return rgb;
+  return result;
 }
 
 void GpuTraining::DensityOf(const float* points, int64_t n, float* sigma) const {

@@ -35,9 +35,6 @@ class GpuTraining : public DensitySource {
     int64_t n_rays = 0, n_depths = 0;
     uint64_t seed = 0, step = 0;
   };
-  struct Rates {
-    double grid = 0, network = 0;
-  };
   struct Found {
     TrainingStep::Result result;
     int64_t n_rays = 0, adam_t = 0;
@@ -46,14 +43,14 @@ class GpuTraining : public DensitySource {
     int64_t not_finite = -1;  // the gradient's element among all parameters, counted without gaps; −1: none
   };
   std::optional<Found> Step(const Batch& batch, const SceneMap& map, const RenderOptions& options,
-                            const LossWeights& weights, const TrainConfig& config, const Rates& rates);
+                            const LossWeights& weights, const TrainConfig& config, const LearningRates& rates);
   std::vector<Found> Finish();
 
   void AddToAverage(int64_t n_averaged);
 
-  // Colours [n, 3] of rays as `state`, a changed one of the training's, shows them; UploadParameters sets back what
-  // this does.
-  torch::Tensor Render(const TrainState& state, const Rays& rays, const RenderOptions& options);
+  // Colours and opacities of rays as `state`, a changed one of the training's, shows them; UploadParameters sets back
+  // what this does.
+  RenderResult Render(const TrainState& state, const Rays& rays, const RenderOptions& options);
 
   void DensityOf(const float* points, int64_t n, float* sigma) const override;
   int64_t points_at_once() const override { return int64_t{1} << 18; }

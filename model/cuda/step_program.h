@@ -12,140 +12,13 @@
 #include <vector>
 
 #include "model/cuda/gpu_trainer.h"
+#include "model/cuda/step_memory.h"
 #include "model/kernels/feature_grid_programs.h"
 #include "model/kernels/shading_programs.h"
 #include "render/kernels/device_runtime.h"
 #include "render/kernels/trace_programs.h"
 
 namespace nrff::device {
-
-// How networks' activations and the grids' tables are stored.
-struct FloatStorage {
-  using Number = float;
-  using Table = float;
-};
-struct HalfStorage {
-  using Number = Bf16;
-  using Table = Half;
-};
-
-// Hands out parts of one block of memory. With no block it counts what they need.
-class Arena {
- public:
-  explicit Arena(char* memory) : memory_(memory) {}
-  template <typename T>
-  T* Take(int64_t n) {
-    constexpr size_t kAlignment = 256;
-    char* at = memory_ == nullptr ? nullptr : memory_ + used_;
-    used_ += (static_cast<size_t>(n) * sizeof(T) + kAlignment - 1) / kAlignment * kAlignment;
-    return reinterpret_cast<T*>(at);
-  }
-  size_t used() const { return used_; }
-
- private:
-  char* memory_;
-  size_t used_ = 0;
-};
-
-inline int64_t Padded(int64_t columns) { return (columns + 7) / 8 * 8; }
-
-// What a step leaves in memory on its way, laid out for a room.
-template <typename Storage>
-struct StepMemory {
-  using Number = typename Storage::Number;
-  struct Hidden {
-    Number *values, *derivative;
-  };
-
-  StepMemory(const GpuModel& model, const ShadingColumns& columns, const GpuRoom& room, bool trains, Arena& arena) {
-    const bool directional = model.encoding == DirectionalEncoding::kRee;
-    const int64_t n = room.samples, k = room.shaded;
-    const auto take_backward = [&](auto of, int64_t size) {
-      return trains ? arena.Take<decltype(of)>(size) : static_cast<decltype(of)*>(nullptr);
-    };
-    origins = arena.Take<float>(3 * room.rays);
-    directions = arena.Take<float>(3 * room.rays);
-    target = take_backward(float{}, 3 * room.rays);
-    distance = take_backward(float{}, room.rays);
-    spread = take_backward(float{}, room.rays);
-    counts = arena.Take<int64_t>(room.rays);
-    ray_offsets = arena.Take<int64_t>(room.rays + 1);
-    shaded_offsets = arena.Take<int64_t>(room.rays + 1);
-    scratch_bytes = ScratchOfSums(room.rays);
-    scratch = arena.Take<char>(static_cast<int64_t>(scratch_bytes));
-    transmittance = arena.Take<float>(room.rays);
-    d_transmittance = take_backward(float{}, room.rays);
-    n_reached = arena.Take<int64_t>(room.rays);
-
-    t = arena.Take<float>(n);
-    delta = arena.Take<float>(n);
-    points = arena.Take<float>(3 * n);
-    sigma = arena.Take<float>(n);
-    weights = arena.Take<float>(n);
-    d_weights = take_backward(float{}, n);
-    d_sigma = take_backward(float{}, n);
-
-    shaded = arena.Take<int64_t>(k);
-    shaded_points = arena.Take<float>(3 * k);
-    shaded_directions = arena.Take<float>(3 * k);
-    rgb = arena.Take<float>(3 * k);
-    d_rgb = take_backward(float{}, 3 * k);
-    d_normals = take_backward(float{}, 3 * k);
-    int64_t widest = 0;
-    const auto take_hidden = [&](const std::vector<GpuModel::Layer>& layers, std::vector<Hidden>& hidden) {
-      for (size_t l = 0; l < layers.size(); ++l) {
-        widest = std::max({widest, Padded(layers[l].n_in), Padded(layers[l].n_out)});
-        if (l + 1 == layers.size()) break;
-        auto* values = arena.Take<Number>(k * Padded(layers[l].n_out));
-        hidden.push_back({values, take_backward(Number{}, k * Padded(layers[l].n_out))});
-      }
-    };
-    features = arena.Take<Number>(k * Padded(model.spatial.front().n_in));
-    d_features = take_backward(Number{}, k * Padded(model.spatial.front().n_in));
-    take_hidden(model.spatial, spatial_hidden);
-    spatial_out = arena.Take<float>(k * columns.spatial_out_row);
-    d_spatial_out = take_backward(Number{}, k * columns.spatial_out_row);
-    if (directional) {
-      reflections = arena.Take<Reflection>(k);
-      d_reflected = take_backward(float{}, 3 * k);
-      directional_in = arena.Take<Number>(k * columns.directional_in_row);
-      d_directional_in = take_backward(Number{}, k * columns.directional_in_row);
-      lobe_in = arena.Take<Number>(k * columns.n_theta * columns.lobe_in_row);
-      lobe_raw = arena.Take<float>(k * columns.n_theta * columns.lobe_raw_row);
-      d_lobe_in = take_backward(Number{}, k * columns.n_theta * columns.lobe_in_row);
-      d_lobe_raw = take_backward(Number{}, k * columns.n_theta * columns.lobe_raw_row);
-      take_hidden(model.directional, directional_hidden);
-      specular = arena.Take<float>(k * columns.specular_row);
-      d_specular = take_backward(Number{}, k * columns.specular_row);
-    }
-    for (Number*& gradient : layer_gradients) gradient = take_backward(Number{}, k * widest);
-    colour = arena.Take<float>(3 * room.rays);
-    depth = arena.Take<float>(room.rays);
-    normal = arena.Take<float>(3 * room.rays);
-    opacity = arena.Take<float>(room.rays);
-  }
-
-  // Per ray.
-  float *origins, *directions, *target, *distance, *spread, *transmittance, *d_transmittance;
-  float *colour, *depth, *normal, *opacity;  // of pictures
-  int64_t *counts, *ray_offsets, *shaded_offsets, *n_reached;
-  char* scratch;
-  size_t scratch_bytes;
-  // Per sample.
-  float *t, *delta, *points, *sigma, *weights, *d_weights, *d_sigma;
-  // Per shaded sample.
-  int64_t* shaded;
-  float *shaded_points, *shaded_directions, *rgb, *d_rgb, *d_normals;
-  Number *features, *d_features;
-  std::vector<Hidden> spatial_hidden, directional_hidden;
-  float* spatial_out;
-  Number* d_spatial_out;
-  Reflection* reflections = nullptr;
-  float *d_reflected = nullptr, *lobe_raw = nullptr, *specular = nullptr;
-  Number *directional_in = nullptr, *d_directional_in = nullptr, *lobe_in = nullptr, *d_lobe_in = nullptr,
-         *d_lobe_raw = nullptr, *d_specular = nullptr;
-  Number* layer_gradients[2];  // of a hidden layer's values, by turns
-};
 
 template <typename Storage>
 class StepProgram {
@@ -177,6 +50,7 @@ class StepProgram {
     n_depths_ = static_cast<int64_t>(scene.depths.size());
     views_ = Upload(scene.views.data(), n_views_);
     pixels_before_ = Upload(scene.pixels_before.data(), static_cast<int64_t>(scene.pixels_before.size()));
+    rows_before_ = Upload(scene.rows_before.data(), static_cast<int64_t>(scene.rows_before.size()));
     pack_ = Upload(scene.pack, static_cast<int64_t>(scene.pack_bytes));
     depths_ = Upload(scene.depths.data(), n_depths_);
     std::vector<Lobe<float>> lobes;
@@ -384,8 +258,8 @@ class StepProgram {
   void QueueRays() {
     StepMemory<Storage>& at = *memory_;
     ForEach("pixels", room_.rays, stream_,
-            DrawPixels{control_.data(), views_.data(), pixels_before_.data(), n_views_, pack_.data(), at.origins,
-                       at.directions, at.target});
+            DrawPixels{control_.data(), views_.data(), pixels_before_.data(), rows_before_.data(), n_views_,
+                       pack_.data(), at.origins, at.directions, at.target, at.view_of_ray});
     if (n_depths_ > 0) {
       ForEach("depths", room_.rays, stream_,
               DrawDepths{control_.data(), depths_.data(), static_cast<uint64_t>(n_depths_), at.origins, at.directions,
@@ -552,10 +426,12 @@ class StepProgram {
     zero(at.d_weights, room_.samples);
     zero(at.d_rgb, 3 * room_.shaded);
     zero(at.d_normals, 3 * room_.shaded);
+    const float* corrections = model_.corrected_views > 0 ? parameters_.data() + model_.corrections : nullptr;
     ForEach("composite", room_.rays, stream_,
             CompositeRays{control_.data(), at.shaded_offsets, at.shaded, at.weights, at.transmittance, at.target,
-                          at.rgb, at.shaded_directions, at.reflections, at.d_weights, at.d_transmittance, at.d_rgb,
-                          at.d_normals, result_.data()});
+                          at.rgb, at.shaded_directions, at.reflections, at.view_of_ray, corrections, at.d_weights,
+                          at.d_transmittance, at.d_rgb, at.d_normals, gradient_.data() + model_.corrections,
+                          result_.data()});
     if (n_depths_ > 0) {
       ForEach("match depths", room_.rays, stream_,
               MatchDepths{control_.data(), at.ray_offsets, at.t, at.weights, at.distance, at.spread, at.d_weights,
@@ -621,8 +497,9 @@ class StepProgram {
     l1.n_factors = static_cast<int>(density_factors_.size()) - 1;
     l1.begins = density_factors_.data();
     ForEach("Adam", parameters_.size(), stream_,
-            AdamProgram<Table>{control_.data(), result_.data(), adam_.data(), model_.n_grid, l1, gradient_.data(),
-                               parameters_.data(), m_.data(), v_.data(), tables_.data()});
+            AdamProgram<Table>{control_.data(), result_.data(), adam_.data(), model_.n_grid, model_.corrections,
+                               model_.corrected_views, l1, gradient_.data(), parameters_.data(), m_.data(), v_.data(),
+                               tables_.data()});
   }
 
   GpuModel model_;
@@ -644,6 +521,7 @@ class StepProgram {
   int64_t n_depths_ = 0;
   Buffer<GpuView> views_;
   Buffer<uint64_t> pixels_before_;
+  Buffer<uint32_t> rows_before_;
   Buffer<uint8_t> pack_;
   Buffer<DepthTarget> depths_;
   Buffer<Lobe<float>> lobes_;

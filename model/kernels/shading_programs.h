@@ -12,6 +12,7 @@
 #include "model/kernels/ree.h"
 #include "model/kernels/ree_lobe.h"
 #include "model/kernels/reflection.h"
+#include "render/kernels/colour_correction.h"
 #include "render/kernels/device_runtime.h"
 #include "render/kernels/trace_programs.h"
 
@@ -242,7 +243,9 @@ struct CompositeRays {
   const int64_t *shaded_offsets, *shaded;
   const float *weights, *transmittance, *target, *rgb, *shaded_directions;
   const Reflection* reflections;  // null: without normals
-  float *d_weights, *d_transmittance, *d_rgb, *d_normals;
+  const int* view_of_ray;
+  const float* corrections;  // [n_views, 12]; null: none
+  float *d_weights, *d_transmittance, *d_rgb, *d_normals, *d_corrections;
   StepResult* result;
 
   NRFF_HOST_DEVICE void operator()(int64_t r) const {
@@ -252,23 +255,29 @@ struct CompositeRays {
     const double per_shaded = 1 / static_cast<double>(n_shaded);
     const auto orientation_scale = static_cast<float>(control->orientation * per_shaded);
     const int64_t begin = shaded_offsets[r], end = shaded_offsets[r + 1];
-    float d_colour[3], d_behind = 0;
+    const int64_t first = corrections == nullptr ? 0 : kCorrectionParameters * static_cast<int64_t>(view_of_ray[r]);
+    const float* correction = corrections == nullptr ? nullptr : corrections + first;
+    float light[3], colour[3], d_colour[3], d_light[3];
     double mse = 0, orientation = 0;
     for (int c = 0; c < 3; ++c) {
-      float colour = transmittance[r] * control->background;
-      for (int64_t k = begin; k < end; ++k) colour += weights[shaded[k]] * rgb[3 * k + c];
-      const float error = colour - target[3 * r + c];
+      light[c] = 0;
+      for (int64_t k = begin; k < end; ++k) light[c] += weights[shaded[k]] * rgb[3 * k + c];
+    }
+    CorrectedColour(correction, light, transmittance[r], control->background, colour);
+    for (int c = 0; c < 3; ++c) {
+      const float error = colour[c] - target[3 * r + c];
       mse += static_cast<double>(error) * error / (3 * static_cast<double>(control->n_rays));
       d_colour[c] = mse_scale * error;
-      d_behind += d_colour[c] * control->background;
     }
-    d_transmittance[r] = d_behind;
+    float* d_correction = d_corrections + first;
+    d_transmittance[r] = CorrectedColourBackward(correction, light, transmittance[r], control->background, d_colour,
+                                                 d_light, [&](int i, float d) { AtomicAdd(d_correction + i, d); });
     for (int64_t k = begin; k < end; ++k) {
       const float weight = weights[shaded[k]];
       float d_weight = 0, facing_away = 0;
       for (int c = 0; c < 3; ++c) {
-        d_weight += d_colour[c] * rgb[3 * k + c];
-        d_rgb[3 * k + c] = weight * d_colour[c];
+        d_weight += d_light[c] * rgb[3 * k + c];
+        d_rgb[3 * k + c] = weight * d_light[c];
         if (reflections != nullptr) facing_away += reflections[k].normal[c] * shaded_directions[3 * k + c];
       }
       facing_away = facing_away > 0 ? facing_away : 0;
@@ -377,7 +386,7 @@ struct GatherSpatialGradient {
 // Adam and what a step ends with. What changes from step to step is kept on the device.
 struct AdamState {
   int64_t t = 0;
-  float beta1 = 0, beta2 = 0, grid_step = 0, network_step = 0, root_correction2 = 0, epsilon = 0;
+  float beta1 = 0, beta2 = 0, grid_step = 0, network_step = 0, correction_step = 0, root_correction2 = 0, epsilon = 0;
 };
 
 // The L1 term of the density grid: the gradient of its planes and lines by the sign of their values.
@@ -428,6 +437,7 @@ struct DecideStep {
       adam->beta2 = static_cast<float>(control->beta2);
       adam->grid_step = static_cast<float>(control->grid_rate / correction1);
       adam->network_step = static_cast<float>(control->network_rate / correction1);
+      adam->correction_step = static_cast<float>(control->correction_rate / correction1);
       adam->root_correction2 = static_cast<float>(1 / std::sqrt(1 - std::pow(control->beta2, t)));
       adam->epsilon = static_cast<float>(control->epsilon);
     }
@@ -437,14 +447,16 @@ struct DecideStep {
   }
 };
 
-// parameters [n], the grids first, and the tables made of these. Lazy grids leave blocks of 16 elements without
-// gradient as they are (adam.h); so is an element that is zero where the L1 term alone touches its block.
+// parameters [n], the grids first, the colour corrections last, and the tables made of these. Lazy grids leave blocks
+// of 16 elements without gradient as they are (adam.h); so is an element that is zero where the L1 term alone touches
+// its block.
 template <typename Table>
 struct AdamProgram {
   const StepControl* control;
   const StepResult* result;
   const AdamState* adam;
-  int64_t n_grid;
+  int64_t n_grid, corrections_begin;
+  int n_corrected;  // views
   DensityL1 l1;
   const float* gradient;
   float *parameters, *m, *v;
@@ -454,7 +466,9 @@ struct AdamProgram {
     constexpr int64_t kLazyBlock = 16;
     if (result->applied == 0) return;
     const bool grid = i < n_grid;
-    const float g = gradient[i] + l1.Gradient(i, parameters[i], control->density_l1);
+    const bool correction = i >= corrections_begin;
+    const float g = correction ? gradient[i] + 2 * control->correction / static_cast<float>(n_corrected) * parameters[i]
+                               : gradient[i] + l1.Gradient(i, parameters[i], control->density_l1);
     if (grid && control->lazy_grids && g == 0) {
       const int64_t begin = i / kLazyBlock * kLazyBlock;
       bool touched = false;
@@ -463,7 +477,7 @@ struct AdamProgram {
     }
     m[i] = adam->beta1 * m[i] + (1 - adam->beta1) * g;
     v[i] = adam->beta2 * v[i] + (1 - adam->beta2) * g * g;
-    const float step = grid ? adam->grid_step : adam->network_step;
+    const float step = grid ? adam->grid_step : correction ? adam->correction_step : adam->network_step;
     parameters[i] -= step * m[i] / (std::sqrt(v[i]) * adam->root_correction2 + adam->epsilon);
     if (grid && tables != nullptr) FromFloat(parameters[i], tables[i]);
   }

@@ -1,5 +1,5 @@
 // The page: sections in order, each left out when there is nothing to show in it.
-const {summary, facts, pictures, geometry, stability} = DATA;
+const {summary, facts, pictures, geometry, videos, stability} = DATA;
 const main = document.querySelector("main");
 
 function addSection(id, title, hint, ...children) {
@@ -39,6 +39,14 @@ function showTiles() {
   };
   add("PSNR", format.psnr(metrics.psnr), "dB", `mean of ${plural(metrics.n_images, "held-out view")}`, true);
   add("SSIM", format.ssim(metrics.ssim), "", "1 is identical", true);
+  const variants = facts.eval?.variants ?? {};
+  if (summary.decisions.some(({feature, needed}) => feature === "exposure_correction" && needed)) {
+    add("Colours fitted", format.psnr(variants.psnr_colour_fitted), "dB",
+      `PSNR of the right halves of held-out views, exposure and white balance fitted on the left ones; ${format.psnr(variants.psnr_right_half)} dB without`);
+  }
+  if (isNumber(variants.psnr_whole)) {
+    add("Whole images", format.psnr(variants.psnr_whole), "dB", "PSNR with the pixels that masks leave out of the other figures");
+  }
   if (isNumber(metrics.lpips)) add("LPIPS", format.fixed(metrics.lpips, 3), "", "0 is identical");
   const registered = split.registered, total = facts.ingest?.n_images;
   const heldOut = isNumber(split.registered_test) ? `${split.registered_test} of ${split.test} held out` : "";
@@ -120,6 +128,25 @@ function showSpace(viewer) {
     "Drag to turn, pinch or use the buttons to zoom, click a held-out camera to see its view.", legend, makeSpace(geometry, choose));
 }
 
+const VERDICTS = {kept: "kept", repeated: "the same as a neighbour", blurred: "blurred", near: "near a kept frame"};
+
+function showVideos() {
+  if (!videos || videos.length === 0) return;
+  const children = videos.flatMap(({name, n_frames: nFrames, verdicts, thumbnails}) => {
+    const left = ["repeated", "blurred", "near"].filter((verdict) => verdicts[verdict] > 0)
+      .map((verdict) => `${format.count(verdicts[verdict])} ${VERDICTS[verdict]}`);
+    const strip = thumbnails.filter(({picture}) => picture).map(({picture, seconds, verdict}) => {
+      const time = isNumber(seconds) ? `${format.fixed(seconds, 1)} s` : "";
+      return el("figure", {className: verdict}, el("img", {src: picture, alt: `frame at ${time}, ${VERDICTS[verdict]}`, title: VERDICTS[verdict]}),
+        el("figcaption", {}, time, el("span", {className: `pill${verdict === "kept" ? " yes" : ""}`}, verdict)));
+    });
+    return [el("p", {}, el("strong", {}, name), `: ${format.count(verdicts.kept)} of ${plural(nFrames, "frame")} kept${left.length > 0 ? `; left out: ${left.join(", ")}` : ""}.`),
+      el("div", {className: "strip"}, ...strip)];
+  });
+  addSection("videos", "Frames from video",
+    "Frames are taken as far apart as the picture moves, the sharpest of each stretch. Shown are some of both kinds, in their order.", ...children);
+}
+
 function showStages() {
   const {stages, failure} = summary;
   const failed = (stage) => stage.name === failure?.stage;
@@ -186,6 +213,7 @@ showWarnings();
 const viewer = showImages();
 showTraining();
 showSpace(viewer);
+showVideos();
 showStages();
 showDecisions();
 showStability();

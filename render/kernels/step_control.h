@@ -19,9 +19,9 @@ struct StepControl {
   // Pictures alone: a ray's samples of least weight are left out as long as their weights sum to at most this.
   float colour_tolerance = 0;
   // LossWeights of model/training_step.h
-  float orientation = 0, density_l1 = 0, sparsity = 0, depth = 0;
+  float orientation = 0, density_l1 = 0, sparsity = 0, depth = 0, correction = 0;
   // AdamOptions of model/kernels/adam.h
-  double grid_rate = 0, network_rate = 0, beta1 = 0.9, beta2 = 0.99, epsilon = 1e-8;
+  double grid_rate = 0, network_rate = 0, correction_rate = 0, beta1 = 0.9, beta2 = 0.99, epsilon = 1e-8;
   bool lazy_grids = false;
 };
 
@@ -38,7 +38,8 @@ struct StepResult {
 
 struct GpuView {
   PinholeCamera camera;
-  int width = 0, n_channels = 3;
+  int width = 0, height = 0, n_channels = 3;
+  int64_t rows_before = -1;  // where CountingPixel's begin among all views'; < 0: every pixel counts
   uint64_t pack_offset = 0;  // bytes
 };
 

@@ -23,9 +23,11 @@ struct DrawPixels {
   const StepControl* control;
   const GpuView* views;
   const uint64_t* pixels_before;  // [n_views + 1]
+  const uint32_t* rows_before;    // of the masked views
   int n_views;
   const uint8_t* pack;
   float *origins, *directions, *target;  // [n_rays, 3]
+  int* view_of_ray;                      // [n_rays]
 
   NRFF_HOST_DEVICE void operator()(int64_t r) const {
     if (r >= control->n_rays) return;
@@ -37,11 +39,17 @@ struct DrawPixels {
       (pixels_before[middle] <= drawn ? low : high) = middle;
     }
     const GpuView& view = views[low];
+    view_of_ray[r] = low;
     const uint64_t within = drawn - pixels_before[low];
-    PixelRay(view.camera, static_cast<int>(within % view.width), static_cast<int>(within / view.width), origins + 3 * r,
-             directions + 3 * r);
-    PixelColour(pack + view.pack_offset + within * view.n_channels, view.n_channels, control->background,
-                target + 3 * r);
+    const uint8_t* pixels = pack + view.pack_offset;
+    int ix = static_cast<int>(within % view.width), iy = static_cast<int>(within / view.width);
+    if (view.rows_before >= 0) {
+      CountingPixel(pixels, rows_before + view.rows_before, view.width, view.height, static_cast<uint32_t>(within), &ix,
+                    &iy);
+    }
+    PixelRay(view.camera, ix, iy, origins + 3 * r, directions + 3 * r);
+    PixelColour(pixels + (static_cast<int64_t>(iy) * view.width + ix) * view.n_channels, view.n_channels,
+                control->background, target + 3 * r);
   }
 };
 
