@@ -80,6 +80,17 @@ Decision ExhaustiveMatching(int n_images, bool ordered) {
                     : "photos alike at a first look overlap"};
 }
 
+Decision GpsPairs(std::optional<double> spread_m) {
+  const bool needed = spread_m && *spread_m >= 20;
+  return {"gps_pairs", needed,
+          spread_m ? Format("photos taken %.1f m from their mean position", *spread_m)
+                   : "not all photos say where they were taken",
+          "20 m",
+          needed      ? "photos taken near each other overlap"
+          : !spread_m ? "without positions photos alike have to do"
+                      : "the positions' errors are as large as their differences"};
+}
+
 int FinestResolution(int n_train_views, bool sparse_depth) {
   if (sparse_depth || n_train_views >= 32) return 256;
   return n_train_views < 16 ? 64 : 128;

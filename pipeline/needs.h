@@ -44,6 +44,10 @@ Decision Contraction(bool box_given, bool has_alpha, std::optional<double> backg
 // photos: ten alike hold 97 % and more of each photo's five best partners (tests/bench/results/first_look.md).
 Decision ExhaustiveMatching(int n_images, bool ordered);
 
+// Pairs of photos taken near each other are matched, too, where all of them say where they were taken, and the places lie
+// further apart (root mean square from their mean) than satellites' errors of some 5 m can make it seem.
+Decision GpsPairs(std::optional<double> spread_m);
+
 // The finest grid resolution that training settles. Few views leave finer cells to be learnt by heart, view by view,
 // unless sparse depths hold the surfaces in place (tests/bench/results/features.md): without depths, fine levels cost
 // sceaux_castle 0.1 dB and ET 0.9, gain kermit 0.2; with depths they gain all three, 0.1 to 0.9. The bounds of 16 and

@@ -1,5 +1,6 @@
 #include "sfm/capture.h"
 
+#include <cmath>
 #include <iterator>
 #include <utility>
 
@@ -37,6 +38,18 @@ std::optional<T> GetOptional(const Json& value, const char* key, const std::stri
   return Get<T>(value, key, where);
 }
 
+Json GpsToJson(const GpsPosition& gps) {
+  return {{"lat", gps.latitude_deg}, {"lon", gps.longitude_deg}, {"alt", OrNull(gps.altitude_m)}};
+}
+
+GpsPosition GpsFromJson(const Json& json, const std::string& where) {
+  const GpsPosition gps{Get<double>(json, "lat", where), Get<double>(json, "lon", where),
+                        GetOptional<double>(json, "alt", where)};
+  if (std::abs(gps.latitude_deg) <= 90 && std::abs(gps.longitude_deg) <= 180) return gps;
+  throw CorruptError(where + ": \"gps\" is at " + Json(gps.latitude_deg).dump() + "°, " +
+                     Json(gps.longitude_deg).dump() + "°, which is no place on earth; run ingest again");
+}
+
 Json ToJson(const CaptureImage& image) {
   const ImageInfo& info = image.info;
   return {{"id", image.id},
@@ -60,6 +73,7 @@ Json ToJson(const CaptureImage& image) {
           {"exposure_seconds", OrNull(info.exposure_seconds)},
           {"f_number", OrNull(info.f_number)},
           {"iso", OrNull(info.iso)},
+          {"gps", info.gps ? GpsToJson(*info.gps) : Json()},
           {"blur", image.blur}};
 }
 
@@ -87,6 +101,7 @@ CaptureImage ImageFromJson(const Json& json, const std::string& where) {
   info.exposure_seconds = GetOptional<double>(json, "exposure_seconds", where);
   info.f_number = GetOptional<double>(json, "f_number", where);
   info.iso = GetOptional<int>(json, "iso", where);
+  if (const auto gps = GetOptional<Json>(json, "gps", where)) info.gps = GpsFromJson(*gps, where);
   const std::string photo = where + ": photo " + EscapePath(image.id);
   if (!IsFileName(image.id)) {
     throw CorruptError(photo + " has an id that is no file name, expected one as 000012; run ingest again");

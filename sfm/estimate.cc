@@ -9,6 +9,7 @@
 #include "sfm/capture.h"
 #include "sfm/colmap_model.h"
 #include "sfm/colmap_runner.h"
+#include "sfm/gps.h"
 #include "sfm/reconstruct.h"
 #include "sfm/sfm_diagnosis.h"
 #include "sfm/source.h"
@@ -21,6 +22,7 @@ namespace fs = std::filesystem;
 
 // Photos up to which the thorough settings are affordable at once: they have 153 pairs, about half a second each.
 constexpr int kAffordableImages = 18;
+constexpr int kNearest = 5;  // by GPS
 
 // In the order in which they are tried. Features are found at the photo's own scale by kFast only; the others start one
 // octave up, which takes four times as long and gives about three times as many.
@@ -152,6 +154,14 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
   Decision matching = needs::ExhaustiveMatching(n_images, capture.ordered);
   Force(matching, options.exhaustive);
   artifact.AddDecision(matching);
+  bool gps_pairs = false;
+  if (!matching.needed) {
+    const std::vector<GpsPosition> positions = GpsPositions(capture);
+    const Decision gps =
+        needs::GpsPairs(positions.empty() ? std::nullopt : std::optional(Spread_m(LocalPositions(positions))));
+    gps_pairs = gps.needed;
+    artifact.AddDecision(gps);
+  }
 
   const int first_level = n_images <= kAffordableImages ? 1 : 0;
   const fs::path work = artifact.dir() / "work";
@@ -160,6 +170,7 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
   const bool given = options.max_image_size || options.max_features;
   for (const int level : {given ? 0 : first_level, first_level + 1}) {
     SfmSettings settings = Settings(level, matching.needed, options.seed, options.n_threads);
+    if (gps_pairs) settings.n_nearest = kNearest;
     if (given) {
       settings.name = "given";
       settings.max_image_size = options.max_image_size.value_or(settings.max_image_size);

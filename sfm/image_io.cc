@@ -194,6 +194,28 @@ std::string Text(const OIIO::ImageSpec& spec, const char* name) {
   return EscapePath(text);
 }
 
+// Degrees, minutes and seconds; negative where the reference is `negative` (S or W).
+std::optional<double> GpsAngle_deg(const OIIO::ImageSpec& spec, const std::string& name, char negative, double most) {
+  const OIIO::ParamValue* parts = spec.find_attribute(name);
+  const std::string reference = spec.get_string_attribute(name + "Ref");
+  if (!parts || parts->type().basetype != OIIO::TypeDesc::FLOAT || parts->type().numelements() != 3) return {};
+  const double angle =
+      parts->get_float_indexed(0) + parts->get_float_indexed(1) / 60. + parts->get_float_indexed(2) / 3600.;
+  if (!(angle >= 0 && angle <= most) || reference.empty()) return {};
+  return reference.front() == negative ? -angle : angle;
+}
+
+std::optional<GpsPosition> Gps(const OIIO::ImageSpec& spec) {
+  const auto latitude = GpsAngle_deg(spec, "GPS:Latitude", 'S', 90),
+             longitude = GpsAngle_deg(spec, "GPS:Longitude", 'W', 180);
+  if (!latitude || !longitude) return {};
+  GpsPosition position{*latitude, *longitude, {}};
+  const double altitude = spec.get_float_attribute("GPS:Altitude", NAN);
+  const bool below_sea = spec.get_int_attribute("GPS:AltitudeRef", 0) == 1;
+  if (std::isfinite(altitude)) position.altitude_m = below_sea ? -altitude : altitude;
+  return position;
+}
+
 Image ToEightBits(Decoder& decoder) {
   const OIIO::ImageSpec& spec = decoder.spec();
   Image image{spec.width, spec.height, spec.nchannels, {}};
@@ -287,6 +309,7 @@ ImageInfo ProbeImage(const std::filesystem::path& path) {
   for (const char* name : {"Exif:PhotographicSensitivity", "Exif:ISOSpeedRatings"}) {
     if (const int iso = spec.get_int_attribute(name, 0); iso > 0) info.iso = iso;
   }
+  info.gps = Gps(spec);
   return info;
 }
 

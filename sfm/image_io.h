@@ -18,6 +18,12 @@ struct Image {
   std::vector<uint8_t> pixels;  // height × width × channels, row-major, sRGB
 };
 
+// By satellite, WGS 84.
+struct GpsPosition {
+  double latitude_deg = 0, longitude_deg = 0;  // north and east positive
+  std::optional<double> altitude_m;            // above the sea
+};
+
 struct ImageInfo {
   int width = 0, height = 0;  // px, after orientation
   int orientation = 1;        // EXIF, 1 to 8: how the stored raster is turned for display
@@ -33,6 +39,7 @@ struct ImageInfo {
   std::optional<std::string> timestamp;  // DateTimeOriginal, else DateTime: "2012:04:21 10:11:12"
   std::optional<double> exposure_seconds, f_number;
   std::optional<int> iso;
+  std::optional<GpsPosition> gps;
 };
 
 // Reads the header only: the pixels may still turn out to be damaged.

@@ -12,6 +12,7 @@
 #include "pipeline/files.h"
 #include "pipeline/progress.h"
 #include "sfm/first_look.h"
+#include "sfm/gps.h"
 #include "sfm/working_photos.h"
 
 namespace nrff {
@@ -225,8 +226,13 @@ class Reconstruction {
     const int n_images = int(ids.size());
     if (settings_.exhaustive) return AllPairs(n_images);
     similarity_ = PhotoSimilarities(ids.size(), [&](size_t i) { return ReadFeatureDescriptors(database_, ids[i]); });
-    const ImagePairs similar = MostSimilarPairs(similarity_, settings_.n_neighbours);
-    return capture_.ordered ? Union(similar, SequentialPairs(n_images, settings_.n_next)) : similar;
+    ImagePairs pairs = MostSimilarPairs(similarity_, settings_.n_neighbours);
+    if (capture_.ordered) pairs = Union(pairs, SequentialPairs(n_images, settings_.n_next));
+    if (settings_.n_nearest > 0) {
+      const Eigen::MatrixXf nearness = Nearness(LocalPositions(GpsPositions(capture_)));
+      pairs = Union(pairs, MostSimilarPairs(nearness, settings_.n_nearest));
+    }
+    return pairs;
   }
 
   void JoinPieces(const ImagePairs& matched, Attempt& attempt) {

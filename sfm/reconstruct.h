@@ -27,6 +27,7 @@ struct SfmSettings {
   bool exhaustive = false;        // all pairs
   int n_neighbours = 10;          // otherwise: each photo with this many most similar ones (first_look.h)
   int n_next = 3;                 // and, in a capture in the order of taking, with this many next ones
+  int n_nearest = 0;              // and with this many nearest ones by GPS
   bool tolerant_mapping = false;  // place photos by fewer matches and smaller parallax
   uint64_t seed = 0;
   int n_threads = 1;

@@ -207,6 +207,13 @@ class EstimateOfPieces : public Estimate {
     AddModel(0, all, "joined");
     options_.exhaustive = false;
   }
+  static bool Decided(const Manifest& manifest, const std::string& feature) {
+    for (const Decision& decision : manifest.decisions) {
+      if (decision.feature == feature) return decision.needed;
+    }
+    ADD_FAILURE() << feature << " was not decided";
+    return false;
+  }
   size_t NumMapperCalls() {
     size_t n = 0;
     const std::string calls = Calls();
@@ -224,6 +231,20 @@ TEST_F(EstimateOfPieces, BecomeOneByPairsBetweenThem) {
   EXPECT_EQ(manifest.facts.at("n_models"), 1);
   ASSERT_EQ(manifest.facts.at("attempts").size(), 1u);
   EXPECT_EQ(NumMapperCalls(), 2u);
+}
+
+TEST_F(EstimateOfPieces, PhotosTakenNearEachOtherArePairedToo) {
+  MakeDatabase(100);
+  const Manifest alike = Run(options_);
+  EXPECT_FALSE(Decided(alike, "gps_pairs"));
+  for (int i = 0; i < 24; ++i) capture_.images[size_t(i)].info.gps = {{50, 0.001 * (i * 7 % 24), {}}};
+  SaveCapture(capture_, ingest_);
+  const Manifest near = Run(options_);
+  EXPECT_TRUE(Decided(near, "gps_pairs"));
+  EXPECT_GT(near.facts.at("attempts")[0].at("n_pairs"), alike.facts.at("attempts")[0].at("n_pairs"));
+  for (CaptureImage& photo : capture_.images) photo.info.gps->longitude_deg /= 1000;  // a few metres: errors
+  SaveCapture(capture_, ingest_);
+  EXPECT_FALSE(Decided(Run(options_), "gps_pairs"));
 }
 
 TEST_F(EstimateOfPieces, ThatDoNotMatchAreNotMappedAgain) {

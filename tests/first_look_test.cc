@@ -12,6 +12,7 @@
 
 #include "pipeline/error.h"
 #include "pipeline/files.h"
+#include "sfm/gps.h"
 #include "sfm/image_pairs.h"
 #include "tests/temporary_directory.h"
 
@@ -161,6 +162,18 @@ TEST(ImagePairs, SequentialPairsAreTheNextOnes) {
                                                             ImagePair(1, 3), ImagePair(2, 3)));
   EXPECT_EQ(AllPairs(11).size(), 55u);
   EXPECT_EQ(Union({{0, 1}, {2, 3}}, {{0, 2}, {2, 3}}), (ImagePairs{{0, 1}, {0, 2}, {2, 3}}));
+}
+
+// Lengths of a degree from the tables of WGS 84.
+TEST(Gps, DegreesBecomeMetres) {
+  const auto apart = [](const GpsPosition& a, const GpsPosition& b) { return -Nearness(LocalPositions({a, b}))(0, 1); };
+  EXPECT_NEAR(apart({45, 7, {}}, {45.01, 7, {}}), 1111.3, 0.5);
+  EXPECT_NEAR(apart({60, 7, {}}, {60, 7.01, {}}), 558.0, 0.5);
+  EXPECT_NEAR(apart({0, 179.995, {}}, {0, -179.995, {}}), 1113.2, 0.5);
+  EXPECT_NEAR(apart({45, 7, 100}, {45, 7, 130}), 30, 1e-3);
+  EXPECT_NEAR(apart({45, 7, 100}, {45, 7, {}}), 0, 1e-3);
+  EXPECT_NEAR(Spread_m(LocalPositions({{0, 0, {}}, {0, 0.001, {}}})), 55.66, 0.05);
+  EXPECT_EQ(Spread_m(LocalPositions({})), 0);
 }
 
 class Descriptors : public ::testing::Test {

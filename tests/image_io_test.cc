@@ -2,6 +2,7 @@
 
 #include <gmock/gmock.h>
 
+#include <array>
 #include <cmath>
 #include <cstdlib>
 #include <fstream>
@@ -183,6 +184,34 @@ TEST_F(ImageIoTest, ExifIsRead) {
   ASSERT_TRUE(info.focal_px);
   // 48×32 has the film's shape: 50 mm of 36 mm width.
   EXPECT_NEAR(*info.focal_px, 50.0 / 36 * 48, 1e-9);
+}
+
+TEST_F(ImageIoTest, WhereAPhotoWasTakenIsRead) {
+  const auto photo = [&](const char* ns, const char* ew, std::array<float, 3> latitude) {
+    PhotoOptions options;
+    options.metadata = [&](OIIO::ImageSpec& spec) {
+      const OIIO::TypeDesc three(OIIO::TypeDesc::FLOAT, 3);
+      const std::array<float, 3> longitude = {13, 24, 36};
+      spec.attribute("GPS:Latitude", three, latitude.data());
+      spec.attribute("GPS:Longitude", three, longitude.data());
+      if (*ns) spec.attribute("GPS:LatitudeRef", ns);
+      spec.attribute("GPS:LongitudeRef", ew);
+      spec.attribute("GPS:Altitude", 34.5f);
+    };
+    WritePhoto(dir_ / "a.jpg", options, "jpeg");
+    return ProbeImage(dir_ / "a.jpg").gps;
+  };
+  const auto north_east = photo("N", "E", {52, 30, 0}), south_west = photo("S", "W", {52, 30, 0});
+  ASSERT_TRUE(north_east && south_west);
+  EXPECT_NEAR(north_east->latitude_deg, 52.5, 1e-6);
+  EXPECT_NEAR(north_east->longitude_deg, 13.41, 1e-6);
+  EXPECT_NEAR(north_east->altitude_m.value_or(0), 34.5, 1e-4);
+  EXPECT_NEAR(south_west->latitude_deg, -52.5, 1e-6);
+  EXPECT_NEAR(south_west->longitude_deg, -13.41, 1e-6);
+  EXPECT_FALSE(photo("N", "E", {97, 0, 0}));  // beyond the pole
+  EXPECT_FALSE(photo("", "E", {52, 30, 0}));
+  WritePhoto(dir_ / "b.jpg", {}, "jpeg");
+  EXPECT_FALSE(ProbeImage(dir_ / "b.jpg").gps);
 }
 
 TEST_F(ImageIoTest, FocalLengthFromThePhysicalPixelPitchFollowsResizing) {

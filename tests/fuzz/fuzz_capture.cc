@@ -1,4 +1,6 @@
 // capture.json of an ingest artifact.
+#include <cmath>
+
 #include "pipeline/files.h"
 #include "sfm/capture.h"
 #include "tests/fuzz/fuzz.h"
@@ -25,6 +27,7 @@ std::vector<std::string> Seeds() {
       image.info.focal_px = 1234.5;
       image.info.timestamp = "2012:04:21 10:11:12";
       image.info.exposure_seconds = 0.01, image.info.f_number = 2.8, image.info.iso = 100;
+      image.info.gps = {{52.5, -13.4, 34}};
     }
     capture.images.push_back(image);
   }
@@ -45,6 +48,9 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   for (const CaptureImage& image : capture->images) {
     fuzz::Require(image.info.width > 0 && image.info.height > 0, "a photo has pixels");
     fuzz::Require(image.info.orientation >= 1 && image.info.orientation <= 8, "a photo's orientation is one of EXIF's");
+    if (const auto& gps = image.info.gps) {
+      fuzz::Require(std::abs(gps->latitude_deg) <= 90 && std::abs(gps->longitude_deg) <= 180, "a place is on earth");
+    }
     fuzz::Require(!image.id.empty() && std::filesystem::path(image.id).filename() == image.id && image.id != "..",
                   "a photo's id is a file name");
   }

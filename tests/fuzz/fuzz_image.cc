@@ -22,6 +22,8 @@ void RequireLaws(const ImageInfo& info) {
   Require(info.bit_depth == 8 || info.bit_depth == 16, "a channel has 8 bits or 16");
   Require(positive(info.focal_px) && positive(info.exposure_seconds) && positive(info.f_number),
           "what EXIF says is finite and positive");
+  Require(!info.gps || (std::abs(info.gps->latitude_deg) <= 90 && std::abs(info.gps->longitude_deg) <= 180),
+          "a place is on earth");
   RequireText(info.make + info.model + info.timestamp.value_or(""), "");
 }
 
