@@ -103,7 +103,7 @@ ExtractedVideo ExtractFrames(const fs::path& video, const std::string& name, int
     thumbnails.names.push_back(dir / file);
     shown.push_back({{"frame", frame}, {"file", file.string()}});
   }
-  WriteFrames(video, {kept, thumbnails}, dir);
+  WriteFrames(video, facts, {kept, thumbnails}, dir);
   extracted.record = {{"name", name},
                       {"seconds", facts.seconds},
                       {"frames_per_second", facts.frames_per_second},

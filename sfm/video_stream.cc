@@ -152,13 +152,29 @@ std::string Scale(int longer_side) {
   return "scale=w='if(gte(iw,ih),min(iw," + side + "),-2)':h='if(gte(iw,ih),-2,min(ih," + side + "))':flags=area";
 }
 
+// In the user's words where FFmpeg's say little.
+template <typename Probe>
+std::string WhyNoVideo(const fs::path& video, const Probe& probe) {
+  if (fs::is_regular_file(video) && fs::file_size(video) == 0) return "the file is empty";
+  std::string reason = "it has no stream of pictures";
+  bool cut = false;
+  probe("error", [&](std::string_view line) {
+    cut |= line.find("moov atom not found") != std::string_view::npos;  // the index, written last
+    if (line.empty() || std::string_view("{}[] ").find(line.front()) != std::string_view::npos) return;
+    const size_t colon = line.rfind(": ");
+    reason = EscapePath(std::string(line.substr(colon == std::string_view::npos ? 0 : colon + 2)));
+  });
+  return cut ? "its index is missing: the recording or a copy was cut short" : reason;
+}
+
 }  // namespace
 
 VideoFacts ProbeVideo(const fs::path& video) {
   const auto probe = [&](const char* verbosity, const std::function<void(std::string_view)>& on_line) {
-    return RunTool({"ffprobe", "-v", verbosity, "-select_streams", "V:0", "-show_entries",
-                    "stream=avg_frame_rate,codec_type:format=duration", "-of", "json", Input(video)},
-                   on_line);
+    return RunTool(
+        {"ffprobe", "-v", verbosity, "-select_streams", "V:0", "-show_entries",
+         "stream=avg_frame_rate,codec_type,width,height,color_space:format=duration", "-of", "json", Input(video)},
+        on_line);
   };
   std::string output;
   const ProcessResult result =
@@ -167,15 +183,17 @@ VideoFacts ProbeVideo(const fs::path& video) {
   const bool has_video = json.is_object() && json.contains("streams") && json["streams"].is_array() &&
                          !json["streams"].empty() && json["streams"][0].is_object();
   if (!result.Succeeded() || !has_video) {
-    std::string reason = "it has no stream of pictures";
-    probe("error", [&](std::string_view line) {
-      if (line.find_first_of("{}[]") != 0) reason = EscapePath(std::string(line.substr(line.rfind(": ") + 1)));
-    });
-    throw InputError(EscapePath(video) + ": holds no video that can be decoded (" + reason +
+    throw InputError(EscapePath(video) + ": holds no video that can be decoded (" + WhyNoVideo(video, probe) +
                      "); copy it again, or save frames of it as photos");
   }
   VideoFacts facts;
-  facts.frames_per_second = Number(json["streams"][0], "avg_frame_rate");
+  const Json& stream = json["streams"][0];
+  facts.frames_per_second = Number(stream, "avg_frame_rate");
+  const auto size = [&](const char* key) {
+    return stream.contains(key) && stream[key].is_number() ? int(stream[key]) : 0;
+  };
+  const bool tagged = stream.contains("color_space") && stream["color_space"] != "unknown";
+  if (!tagged && std::min(size("width"), size("height")) >= 720) facts.matrix = "bt709";
   if (json.contains("format") && json["format"].is_object()) facts.seconds = Number(json["format"], "duration");
   return facts;
 }
@@ -221,7 +239,8 @@ std::string StreamFrames(const fs::path& video, int longer_side, const fs::path&
   return result.last_lines.empty() && result.Succeeded() ? std::string() : LastLine(result);
 }
 
-void WriteFrames(const fs::path& video, const std::vector<FrameFiles>& wanted, const fs::path& dir) {
+void WriteFrames(const fs::path& video, const VideoFacts& facts, const std::vector<FrameFiles>& wanted,
+                 const fs::path& dir) {
   std::vector<std::string> command = {"ffmpeg", "-nostdin", "-v", "error", "-y", "-i", Input(video)};
   std::vector<fs::path> folders;
   for (const FrameFiles& files : wanted) {
@@ -233,7 +252,7 @@ void WriteFrames(const fs::path& video, const std::vector<FrameFiles>& wanted, c
     // As JPEG files are read: BT.601, all values; with square pixels.
     filter += ',';
     filter += files.longer_side > 0 ? Scale(files.longer_side) : "scale=w='iw*sar':h=ih";
-    filter += ":in_color_matrix=auto:out_color_matrix=bt601:out_range=full,setsar=1,format=yuvj444p";
+    filter += ":in_color_matrix=" + facts.matrix + ":out_color_matrix=bt601:out_range=full,setsar=1,format=yuvj444p";
     folders.push_back(dir / ("frames." + std::to_string(folders.size())));
     fs::create_directories(folders.back());
     std::string folder = folders.back().string();

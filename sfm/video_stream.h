@@ -3,6 +3,7 @@
 
 #include <filesystem>
 #include <functional>
+#include <string>
 #include <vector>
 
 #include "sfm/video_measures.h"
@@ -11,6 +12,9 @@ namespace nrff {
 
 struct VideoFacts {
   double seconds = 0, frames_per_second = 0;  // as the file says; 0 where it does not
+  // FFmpeg's name of the matrix that its colours were made with: "auto" where the file says, else what players take:
+  // BT.709 from 720 lines on.
+  std::string matrix = "auto";
 };
 
 // Throws InputError when the file is no video that can be decoded, ExternalToolError when FFmpeg is not installed.
@@ -31,7 +35,7 @@ struct FrameFiles {
 };
 // All in one decoding. `dir`: for files while they are written. Throws InputError when the video no longer has these
 // frames.
-void WriteFrames(const std::filesystem::path& video, const std::vector<FrameFiles>& wanted,
+void WriteFrames(const std::filesystem::path& video, const VideoFacts& facts, const std::vector<FrameFiles>& wanted,
                  const std::filesystem::path& dir);
 
 }  // namespace nrff

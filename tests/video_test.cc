@@ -170,7 +170,7 @@ TEST_F(VideoTest, FramesBecomePhotosOfOneCameraInTheirOrder) {
 }
 
 TEST_F(VideoTest, AVideoAloneIsACaptureNamedAfterIt) {
-  WriteVideo("clip.MP4", Steadily(40));
+  WriteVideo("clip.MP4", Steadily(60));
   root_ /= "clip.MP4";
   const Json probe = ProbeCapture(root_);
   EXPECT_EQ(probe["n_videos"], 1);
@@ -227,8 +227,14 @@ TEST_F(VideoTest, SeveralVideosAndPhotosAreOneCapture) {
 }
 
 TEST_F(VideoTest, WhatCannotBeDecodedIsNamedAndTheRestIsUsed) {
+  Write("broken.mp4", "");
+  EXPECT_THAT(ErrorOf(), HasSubstr("(the file is empty)"));
+  fs::remove(root_ / "broken.mp4");
+  WriteVideo("broken.mp4", Steadily(60));
+  fs::resize_file(root_ / "broken.mp4", fs::file_size(root_ / "broken.mp4") / 2);
+  EXPECT_THAT(ErrorOf(), HasSubstr("(its index is missing: the recording or a copy was cut short)"));
   Write("broken.mp4", "this is no video");
-  EXPECT_THAT(ErrorOf(), HasSubstr("broken.mp4 holds no video that can be decoded"));
+  EXPECT_THAT(ErrorOf(), HasSubstr("broken.mp4 holds no video that can be decoded (Invalid data found"));
   WritePhotos(3);
   const Capture capture = RunIngest();
   EXPECT_EQ(capture.images.size(), 3u);
@@ -241,19 +247,21 @@ TEST_F(VideoTest, WhatCannotBeDecodedIsNamedAndTheRestIsUsed) {
   EXPECT_EQ(cut.images.size(), 3u + 8);
 }
 
-// HD video has another matrix than JPEG files are read with.
+// HD video has another matrix than JPEG files are read with, whether it says so or not.
 TEST_F(VideoTest, ColoursAreThoseOfTheVideo) {
   const fs::path video = root_ / "red.mp4";
-  const std::string command =
-      "ffmpeg -nostdin -v error -y -f lavfi -i color=c=0xC02040:s=320x180:d=1 -vf "
-      "scale=out_color_matrix=bt709:out_range=tv,format=yuv420p -colorspace bt709 -color_range tv -c:v libx264 -crf 5 '" +
-      video.string() + "'";
-  ASSERT_EQ(std::system(command.c_str()), 0);
-  WriteFrames(video, {{{0}, {root_ / "f%d" / "frame.jpg"}, 0}}, root_);
-  const Image frame = ReadImageOriented(root_ / "f%d" / "frame.jpg");
-  EXPECT_NEAR(frame.pixels[0], 0xC0, 6);
-  EXPECT_NEAR(frame.pixels[1], 0x20, 6);
-  EXPECT_NEAR(frame.pixels[2], 0x40, 6);
+  for (const std::string kind : {"s=320x180 -colorspace bt709", "s=1280x720"}) {
+    const std::string size = kind.substr(0, kind.find(' ')), tag = kind.substr(size.size());
+    const std::string command = "ffmpeg -nostdin -v error -y -f lavfi -i color=c=0xC02040:" + size +
+                                ":d=0.2 -vf scale=out_color_matrix=bt709:out_range=tv,format=yuv420p" + tag +
+                                " -color_range tv -c:v libx264 -crf 5 '" + video.string() + "'";
+    ASSERT_EQ(std::system(command.c_str()), 0);
+    WriteFrames(video, ProbeVideo(video), {{{0}, {root_ / "f%d" / "frame.jpg"}, 0}}, root_);
+    const Image frame = ReadImageOriented(root_ / "f%d" / "frame.jpg");
+    EXPECT_NEAR(frame.pixels[0], 0xC0, 6) << kind;
+    EXPECT_NEAR(frame.pixels[1], 0x20, 6) << kind;
+    EXPECT_NEAR(frame.pixels[2], 0x40, 6) << kind;
+  }
 }
 
 TEST_F(VideoTest, AnotherVideoOfThatNameMakesIngestRunAgain) {

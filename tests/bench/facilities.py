@@ -71,7 +71,7 @@ EXPOSURE = [("without", [], ["--exposure-correction", "off"]), ("with", [], ["--
 MASKS = [("without", ["--masks", "off"], []), ("with", ["--masks", "ignore"], [])]
 # name, facility, capture, and for each variant: its options of the run up to poses, and of training, and its capture
 # where that is another
-VIDEO = [("every 4th frame", [], [], every_fourth), ("chosen", ["--frames", "50"], [])]
+VIDEO = [("every 4th frame", [], [], every_fourth), ("chosen", [], []), ("chosen, 50", ["--frames", "50"], [])]
 CASES = [
     ("kermit", "exposure", real("photos/kermit"), EXPOSURE),
     ("ET", "exposure", real("photos/ET"), EXPOSURE),
