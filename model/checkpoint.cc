@@ -39,6 +39,10 @@ void ForEachNumber(State& state, const Visit& visit) {
   visit("occupancy_updates", state.occupancy_updates);
   visit("occupancy_moments_done", state.occupancy_moments_done);
   visit("shrink_moments_done", state.shrink_moments_done);
+  visit("cameras", state.cameras);
+  visit("camera_displacements_px", state.camera_displacements_px);
+  visit("camera_first_px", state.camera_first_px);
+  visit("camera_moments_done", state.camera_moments_done);
   visit("n_skipped", state.n_skipped);
   visit("n_skipped_in_row", state.n_skipped_in_row);
   visit("rate_scale", state.rate_scale);
@@ -163,6 +167,7 @@ void SaveModel(const std::filesystem::path& dir, const TrainState& state, const 
   const Json model = {{"schema_version", kModelSchemaVersion},
                       {"field", ToJson(state.field.config())},
                       {"map", state.map},
+                      {"cameras", state.cameras},
                       {"render",
                        {{"step", options.step},
                         {"near", options.near},
@@ -187,9 +192,13 @@ std::unique_ptr<LoadedModel> LoadModel(const std::filesystem::path& dir) {
   options.weight_threshold = Get<double>(render, "weight_threshold", where);
   options.stop_transmittance = Get<double>(render, "stop_transmittance", where);
   options.background = Get<double>(render, "background", where);
-  auto model =
-      std::make_unique<LoadedModel>(LoadedModel{std::make_unique<NrffField>(config, torch::kFloat, 0),
-                                                ReadOccupancy(file), Get<SceneMap>(json, "map", where), options});
+  auto model = std::make_unique<LoadedModel>(LoadedModel{std::make_unique<NrffField>(config, torch::kFloat, 0),
+                                                         ReadOccupancy(file),
+                                                         Get<SceneMap>(json, "map", where),
+                                                         options,
+                                                         {}});
+  if (json.contains("cameras"))
+    model->cameras = Get<CameraCorrections>(json, "cameras", where);  // models of old lack them
   Read(file, *model->field);
   return model;
 }

@@ -53,6 +53,8 @@ int main(int argc, char** argv) {
   nrff::AddForcedOption(app, "--sparse-depth", request.sparse_depth, "on", "off", "learn from depths of sparse points");
   nrff::AddForcedOption(app, "--exposure-correction", request.exposure_correction, "on", "off",
                         "give training views colours of their own");
+  nrff::AddForcedOption(app, "--camera-correction", request.camera_correction, "on", "off",
+                        "correct cameras where photos and model disagree");
   app.add_option("--device", request.device, "where to compute")
       ->group(group)
       ->check(CLI::IsMember({"auto", "cpu", "cuda"}));

@@ -8,6 +8,7 @@
 #include <optional>
 #include <utility>
 
+#include "model/camera_corrections.h"
 #include "model/kernels/adam.h"
 #include "model/schedule.h"
 #include "model/view_colours.h"
@@ -68,6 +69,7 @@ Trainer::Trainer(const Scene& scene, const ImagePack& pack, const std::vector<Sp
       preset_(preset),
       options_(options),
       pixels_(TrainingViews(scene), pack, BackgroundLevel(scene, preset.train.unknown_background)),
+      training_views_(pixels_.views()),
       depths_(scene, depths),
       background_(BackgroundLevel(scene, preset.train.unknown_background)),
       state_(preset.field, preset.train.occupancy_resolution,
@@ -153,6 +155,63 @@ void Trainer::UpdateOccupancy(bool all_cells) {
   ++state_.occupancy_updates;
 }
 
+void Trainer::MoveCameras() {
+  std::vector<View> views;
+  for (const View& view : training_views_) views.push_back(state_.cameras.Corrected(view));
+  pixels_.MoveViews(std::move(views));
+  if (gpu_) gpu_->SetViews(pixels_);
+}
+
+RenderResult Trainer::RenderTraining(const Rays& rays, const Tensor& view) {
+  constexpr int64_t kAtOnce = 4096;
+  const c10::NoGradGuard no_grad;
+  const RenderOptions options = EvaluationOptions();
+  const ViewColours colours(state_.field, pixels_.views());
+  const int64_t n = rays.origins.size(0);
+  RenderResult all;
+  all.rgb = at::empty({n, 3}, torch::kFloat);
+  all.depth = at::empty({n}, torch::kFloat);
+  all.opacity = at::empty({n}, torch::kFloat);
+  for (int64_t first = 0; first < n; first += kAtOnce) {
+    const int64_t end = std::min(n, first + kAtOnce);
+    const Rays some{rays.origins.slice(0, first, end), rays.directions.slice(0, first, end)};
+    const RenderResult result = gpu_ ? gpu_->Render(state_, some, options)
+                                     : RenderRays(state_.field, state_.occupancy, state_.map, some, options);
+    all.rgb.slice(0, first, end).copy_(result.rgb);
+    all.depth.slice(0, first, end).copy_(result.depth);
+    all.opacity.slice(0, first, end).copy_(result.opacity);
+  }
+  if (colours.empty()) return all;
+  const auto* of = view.const_data_ptr<int32_t>();
+  for (int64_t first = 0, end = 0; first < n; first = end) {
+    while (end < n && of[end] == of[first]) ++end;
+    CorrectColours(colours.Of(pixels_.views()[size_t(of[first])]), background_, end - first,
+                   all.opacity.const_data_ptr<float>() + first, all.rgb.mutable_data_ptr<float>() + 3 * first);
+  }
+  return all;
+}
+
+void Trainer::CorrectCameras() {
+  const TrainConfig& config = preset_.train;
+  const bool first = state_.camera_first_px < 0;
+  if (!first && state_.cameras.poses.empty()) return;  // they stay
+  Download();
+  const CameraUpdate update = UpdateCameras(
+      pixels_, training_views_, first ? CameraCorrections::None(training_views_) : state_.cameras,
+      [&](const Rays& rays, const Tensor& view) { return RenderTraining(rays, view); }, config.camera_pixels,
+      options_.seed, uint64_t(state_.camera_moments_done));
+  if (first) {
+    std::vector<double> sorted = update.displacement_px;
+    const auto median = sorted.begin() + std::ptrdiff_t(sorted.size() / 2);
+    std::nth_element(sorted.begin(), median, sorted.end());
+    state_.camera_first_px = *median;
+    if (*median < config.camera_least_px) return;
+  }
+  state_.cameras = update.corrections;
+  state_.camera_displacements_px = update.displacement_px;
+  MoveCameras();
+}
+
 void Trainer::Shrink() {
   const OccupancyGrid::Box box = state_.occupancy.OccupiedBox(kStray);
   double volume = 1;
@@ -189,6 +248,9 @@ void Trainer::FollowSchedule(double progress) {
     if (state_.occupancy_moments_done < n_due) UpdateOccupancy(/*all_cells=*/true);
     state_.occupancy_moments_done = n_due;
   }
+  const int n_looks = MomentsBehind(config.camera_moments, progress);
+  if (state_.camera_moments_done < n_looks) CorrectCameras();
+  state_.camera_moments_done = n_looks;
   if (!scene_.unbounded && state_.occupancy_updates > 0) {
     const int n_due = MomentsBehind(config.shrink_moments, progress);
     if (state_.shrink_moments_done < n_due) Shrink();
@@ -311,6 +373,7 @@ void Trainer::Settle() {
 }
 
 void Trainer::StateChanged() {
+  MoveCameras();
   if (!gpu_) return;
   gpu_->Finish();  // of the state that is gone
   gpu_->Upload(state_);

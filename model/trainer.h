@@ -54,6 +54,8 @@ class Trainer {
   TrainState& state() { return state_; }
   const TrainState& state() const { return state_; }
   const Preset& preset() const { return preset_; }
+  // Of the scene, as its camera is corrected.
+  View Corrected(const View& view) const { return state_.cameras.Corrected(view); }
 
   // How images of the present model are rendered.
   RenderOptions EvaluationOptions() const;
@@ -91,6 +93,11 @@ class Trainer {
   void Account(const Found& found);
   bool AveragesAt(double progress) const;
   void UpdateOccupancy(bool all_cells);
+  // The training views' as the state has them corrected.
+  void MoveCameras();
+  // Corrects them once more, or finds at the first look that they stay.
+  void CorrectCameras();
+  RenderResult RenderTraining(const Rays& rays, const torch::Tensor& view);
   void Shrink();
   // What of the CPU's step is not finite, if anything.
   std::string NotFinite(const TrainingStep::Result& result) const;
@@ -104,6 +111,7 @@ class Trainer {
   Preset preset_;
   TrainOptions options_;
   PixelSource pixels_;
+  std::vector<View> training_views_;  // as the scene has them
   DepthSource depths_;
   double background_;
   TrainState state_;

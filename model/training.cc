@@ -68,6 +68,7 @@ Preset ChoosePreset(const TrainingRequest& request, const std::string& name, con
   const int n_views = int(scene.ViewsOf(Split::kTrain).size());
   decisions.push_back(FitCorrections(preset, name, scene, request.exposure_correction));
   decisions.push_back(FitDepths(preset, n_depths, scene.unbounded, request.sparse_depth));
+  FitCameras(preset, request.camera_correction);
   decisions.push_back(FitLevelsToViews(preset, name, n_views, request.fine_levels));
   return preset;
 }
@@ -132,7 +133,8 @@ void Evaluate(const HeldOutViews& held_out, Trainer& trainer) {
   TrainState& state = trainer.state();
   const auto start = Clock::now();
   trainer.Sync();
-  const double psnr = held_out.Psnr([&](const View& view, const Rays& rays) { return trainer.RenderMean(view, rays); });
+  const double psnr = held_out.Psnr([&](const View& view, const Rays& rays) { return trainer.RenderMean(view, rays); },
+                                    [&](const View& view) { return trainer.Corrected(view); });
   if (std::isnan(psnr) || std::isnan(trainer.TrainPsnr())) {
     throw TrainingDiverged(std::string("the model shows colours that are no numbers in ") +
                            (std::isnan(psnr) ? "held-out views" : "every training batch") + " by step " +
@@ -229,6 +231,14 @@ Json Curve(const TrainState& state) {
   return curve;
 }
 
+// Of the pictures by the corrections, px: {"median", "largest"}, or null where cameras stayed as they were.
+Json CameraDisplacement(const TrainState& state) {
+  std::vector<double> sorted = state.camera_displacements_px;
+  if (sorted.empty()) return {};
+  std::sort(sorted.begin(), sorted.end());
+  return {{"median", sorted[sorted.size() / 2]}, {"largest", sorted.back()}};
+}
+
 }  // namespace
 
 Json DescribeTraining(const TrainingRequest& request) {
@@ -314,6 +324,7 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
                       {"seconds_training", state.seconds},
                       {"seconds_evaluating", state.seconds_evaluating},
                       {"steps_per_second", double(state.step) / state.seconds},
+                      {"camera_displacement_px", CameraDisplacement(state)},
                       {"steps_skipped", state.n_skipped},
                       {"rollbacks", state.rollbacks},
                       {"device", device.gpu ? "cuda" : "cpu"},
@@ -321,6 +332,14 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
                       {"n_parameters", state.field.n_parameters()},
                       {"occupied_fraction", state.occupancy.OccupiedFraction()},
                       {"resumed", state.resumed}};
+  Decision camera_correction =
+      needs::CameraCorrection(state.camera_first_px < 0 ? std::nullopt : std::optional(state.camera_first_px));
+  Force(camera_correction, request.camera_correction);
+  decisions.push_back(camera_correction);
+  if (!state.cameras.poses.empty()) {
+    WriteJson(artifact.dir() / kCamerasFile, CorrectedCamerasJson(scene, state.cameras, state.camera_displacements_px));
+    artifact.AddOutput(kCamerasFile);
+  }
   if (small_model) decisions.push_back(*small_model);
   for (const Decision& decision : decisions) artifact.AddDecision(decision);
   artifact.AddOutput(kModelFile);

@@ -18,7 +18,7 @@ struct TrainingRequest {
   int64_t steps = 0;            // 0: the preset's
   double budget_seconds = 0;    // of training, without evaluating; 0: steps decide
   uint64_t seed = 0;
-  std::optional<bool> fine_levels, sparse_depth, exposure_correction;  // forced either way
+  std::optional<bool> fine_levels, sparse_depth, exposure_correction, camera_correction;  // forced either way
   std::string device = "auto";
   int n_threads = 0;   // 0: one per core
   bool check = false;  // TrainOptions::check

@@ -35,7 +35,8 @@ constexpr Forceable kForceable[] = {{"exhaustive_matching", "sfm", "matching", "
                                     {"contraction", "pose", "contraction", "on", "off"},
                                     {"sparse_depth", "train", "sparse-depth", "on", "off"},
                                     {"fine_levels", "train", "fine-levels", "on", "off"},
-                                    {"exposure_correction", "train", "exposure-correction", "on", "off"}};
+                                    {"exposure_correction", "train", "exposure-correction", "on", "off"},
+                                    {"camera_correction", "train", "camera-correction", "on", "off"}};
 
 // The form alone: what keys there are, the training program knows.
 std::string CheckSettings(const std::string& text) {

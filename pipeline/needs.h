@@ -44,8 +44,8 @@ Decision Contraction(bool box_given, bool has_alpha, std::optional<double> backg
 // photos: ten alike hold 97 % and more of each photo's five best partners (tests/bench/results/first_look.md).
 Decision ExhaustiveMatching(int n_images, bool ordered);
 
-// Pairs of photos taken near each other are matched, too, where all of them say where they were taken, and the places lie
-// further apart (root mean square from their mean) than satellites' errors of some 5 m can make it seem.
+// Pairs of photos taken near each other are matched, too, where all of them say where they were taken, and the places
+// lie further apart (root mean square from their mean) than satellites' errors of some 5 m can make it seem.
 Decision GpsPairs(std::optional<double> spread_m);
 
 // The finest grid resolution that training settles. Few views leave finer cells to be learnt by heart, view by view,
@@ -68,6 +68,12 @@ Decision SparseDepth(size_t n_depths, bool unbounded);
 // 2 EV (a spread of 0.8) gains 0.5 dB, and 1.5 with fitted colours; in the mean of three seeds ET, at 0.5 EV,
 // gains 1.7, and kermit, at 0.15, loses 1 with seeds 1.5 dB apart.
 Decision ExposureCorrection(double spread_ev, bool unbounded);
+
+// Corrections of the training views' cameras are left out where, looked at when a seventh of the training is done, they
+// would move the pictures by less than kVisibleDisplacement_px in the median of the views (`displacement_px`; none
+// where nobody looked): what the young model shows is no sharper than that.
+inline constexpr double kVisibleDisplacement_px = 0.4;
+Decision CameraCorrection(std::optional<double> displacement_px);
 
 // The model `small` is left out for `tiny` where so few of its steps fit in the training budget that the smaller model
 // shows more. On training views held out, two cores with AMX (tests/bench/results/presets.md): lego at 200 px 22.4

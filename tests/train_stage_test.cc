@@ -39,9 +39,10 @@ TEST_F(TrainStage, SettingsAndForcedDecisionsAreInTheModelAndTheManifest) {
   request.fine_levels = false;
   request.sparse_depth = true;
   request.exposure_correction = true;
+  request.camera_correction = true;
   RunTraining(request, {});
   const Manifest manifest = RequireArtifact(request.out, "train");
-  const Json& settings = manifest.facts.at("settings");
+  const Json &facts = manifest.facts, &settings = facts.at("settings");
   EXPECT_EQ(settings.at("train").at("depth_rays"), 16);
   EXPECT_GT(settings.at("train").at("depth_weight"), 0);
   EXPECT_EQ(settings.at("field").at("max_resolution"), 32) << "an octave below tiny's 64";
@@ -51,6 +52,12 @@ TEST_F(TrainStage, SettingsAndForcedDecisionsAreInTheModelAndTheManifest) {
     if (decision.feature == "cuda") continue;
     EXPECT_EQ(decision.reason, "forced by an option") << decision.feature;
   }
+  const auto model = LoadModel(request.out);
+  EXPECT_EQ(model->cameras.poses.size(), 6u);
+  const Json cameras = ReadJson(request.out / "cameras.json").at("views");
+  EXPECT_EQ(cameras.size(), 8u);
+  EXPECT_EQ(cameras[0].at("fx"), model->cameras.Corrected(LoadScene(request.scene_dir).views[0]).fx);
+  EXPECT_GE(facts.at("camera_displacement_px").at("largest"), facts.at("camera_displacement_px").at("median"));
 }
 
 // On this scene 1e4 is just too much and a quarter of it is not.

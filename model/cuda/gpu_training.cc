@@ -64,6 +64,8 @@ void GpuTraining::Download(TrainState& state) const {
 
 void GpuTraining::SetOccupancy(const OccupancyGrid& occupancy) { trainer_->SetOccupancy(occupancy.bits()); }
 
+void GpuTraining::SetViews(const PixelSource& pixels) { trainer_->SetViews(MakeGpuViews(pixels)); }
+
 std::optional<GpuTraining::Found> GpuTraining::Step(const Batch& batch, const SceneMap& map,
                                                     const RenderOptions& options, const LossWeights& weights,
                                                     const TrainConfig& config, const LearningRates& rates) {
@@ -124,15 +126,16 @@ RenderResult GpuTraining::Render(const TrainState& state, const Rays& rays, cons
   RenderResult result;
   result.rgb = at::empty({n, 3}, torch::kFloat);
   result.opacity = at::empty({n}, torch::kFloat);
-  std::vector<float> depth(n), normal(3 * n);
+  result.depth = at::empty({n}, torch::kFloat);
+  std::vector<float> normal(3 * n);
   GpuRays of;
   of.n = n;
   of.origins = rays.origins.const_data_ptr<float>();
   of.directions = rays.directions.const_data_ptr<float>();
   OnGpu([&] {
-    return trainer_->Render(
-        of, MakeControl(state.map, options),
-        {result.rgb.mutable_data_ptr<float>(), depth.data(), normal.data(), result.opacity.mutable_data_ptr<float>()});
+    return trainer_->Render(of, MakeControl(state.map, options),
+                            {result.rgb.mutable_data_ptr<float>(), result.depth.mutable_data_ptr<float>(),
+                             normal.data(), result.opacity.mutable_data_ptr<float>()});
   });
   return result;
 }

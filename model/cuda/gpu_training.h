@@ -28,6 +28,8 @@ class GpuTraining : public DensitySource {
   void UploadParameters(const TrainState& state);
   void Download(TrainState& state) const;
   void SetOccupancy(const OccupancyGrid& occupancy);
+  // As they are now: the same ones with other cameras.
+  void SetViews(const PixelSource& pixels);
 
   // As the CPU's step, of `batch`: n_rays, n_depths, seed and step alone decide which rays. Queued: what comes back is
   // what an earlier step found (GpuTrainer::kLag).
@@ -48,8 +50,8 @@ class GpuTraining : public DensitySource {
 
   void AddToAverage(int64_t n_averaged);
 
-  // Colours and opacities of rays as `state`, a changed one of the training's, shows them; UploadParameters sets back
-  // what this does.
+  // Colours, depths and opacities of rays as `state`, a changed one of the training's, shows them; UploadParameters
+  // sets back what this does.
   RenderResult Render(const TrainState& state, const Rays& rays, const RenderOptions& options);
 
   void DensityOf(const float* points, int64_t n, float* sigma) const override;

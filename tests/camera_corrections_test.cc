@@ -1,0 +1,278 @@
+// Cameras found from what a model shows: exact on a world of known colours, and of use while a model is trained.
+
+#include "model/camera_corrections.h"
+
+#include <ATen/ATen.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <fstream>
+#include <limits>
+#include <random>
+
+#include "model/trainer.h"
+#include "pipeline/error.h"
+#include "render/kernels/pixel_ray.h"
+#include "tests/ball_scene.h"
+
+namespace nrff {
+namespace {
+
+using torch::Tensor;
+
+constexpr int kSize = 64;  // px
+constexpr double kDistance = 2.5;
+
+// A ball of radius 1 in a smooth pattern. rgb [3], depth along the ray, opacity 0 or 1.
+struct Shown {
+  std::array<double, 3> rgb{1, 1, 1};
+  double depth = 0, opacity = 0;
+};
+Shown ShowBall(const double* origin, const double* direction) {
+  double along = 0, square = 0;
+  for (int k = 0; k < 3; ++k) {
+    along += origin[k] * direction[k];
+    square += origin[k] * origin[k];
+  }
+  const double root = along * along - square + 1;
+  if (root <= 0) return {};
+  const double t = -along - std::sqrt(root);
+  const auto at = [&](int k) { return origin[k] + t * direction[k]; };
+  Shown shown{{}, t, 1};
+  for (int c = 0; c < 3; ++c)
+    shown.rgb[size_t(c)] =
+        0.5 + 0.2 * std::sin(7 * at(c) + 1) + 0.2 * std::cos(6 * at((c + 1) % 3) + 4 * at((c + 2) % 3));
+  return shown;
+}
+
+RenderResult ShowRays(const Rays& rays, const Tensor& /*view*/) {
+  const int64_t n = rays.origins.size(0);
+  const Tensor origins = rays.origins.to(torch::kDouble), directions = rays.directions.to(torch::kDouble);
+  RenderResult result;
+  result.rgb = at::empty({n, 3}, torch::kFloat);
+  result.depth = at::empty({n}, torch::kFloat);
+  result.opacity = at::empty({n}, torch::kFloat);
+  for (int64_t i = 0; i < n; ++i) {
+    const Shown shown = ShowBall(origins.const_data_ptr<double>() + 3 * i, directions.const_data_ptr<double>() + 3 * i);
+    for (int c = 0; c < 3; ++c) result.rgb.mutable_data_ptr<float>()[3 * i + c] = float(shown.rgb[size_t(c)]);
+    result.depth.mutable_data_ptr<float>()[i] = float(shown.depth);
+    result.opacity.mutable_data_ptr<float>()[i] = float(shown.opacity);
+  }
+  return result;
+}
+
+// Eight cameras about the ball, and their photos.
+class CameraCorrectionsTest : public ::testing::Test {
+ protected:
+  CameraCorrectionsTest() {
+    std::ofstream pack(directory_.path() / kPackFile, std::ios::binary);
+    for (int i = 0; i < 8; ++i) {
+      const double azimuth = 0.8 * i, height = 0.4 * (i % 3 - 1), norm = std::sqrt(1 + height * height);
+      const double c = std::cos(azimuth), s = std::sin(azimuth);
+      const Vec3 z{-c / norm, -s / norm, -height / norm}, x{-s, c, 0};
+      const Vec3 y{z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], z[0] * x[1] - z[1] * x[0]};
+      View view;
+      view.id = "00000" + std::to_string(i);
+      view.width = view.height = kSize;
+      view.pack_offset = uint64_t(i) * kSize * kSize * 3;
+      view.fx = view.fy = 1.2 * kSize;
+      view.cx = view.cy = kSize / 2.;
+      view.scene_from_camera[15] = 1;
+      for (size_t k = 0; k < 3; ++k) {
+        view.scene_from_camera[4 * k] = x[k];
+        view.scene_from_camera[4 * k + 1] = y[k];
+        view.scene_from_camera[4 * k + 2] = z[k];
+        view.scene_from_camera[4 * k + 3] = -kDistance * z[k];
+      }
+      PinholeCamera camera{view.fx, view.fy, view.cx, view.cy, {}};
+      std::copy_n(view.scene_from_camera.begin(), 12, camera.scene_from_camera);
+      for (int pixel = 0; pixel < kSize * kSize; ++pixel) {
+        double origin[3], direction[3];
+        PixelRay(camera, pixel % kSize, pixel / kSize, origin, direction);
+        for (const double value : ShowBall(origin, direction).rgb) pack.put(char(std::lround(255 * value)));
+      }
+      true_.push_back(view);
+    }
+    pack.close();
+    // Wrong by up to about two pixels, and by nothing in common.
+    std::mt19937 random(4);
+    std::uniform_real_distribution<double> uniform(-1, 1);
+    errors_ = CameraCorrections::None(true_);
+    for (PoseCorrection& pose : errors_.poses) {
+      for (size_t k = 0; k < 3; ++k) {
+        pose.turn[k] = 0.015 * uniform(random);
+        pose.shift[k] = 0.02 * uniform(random);
+      }
+    }
+    TakeOutCommonMotion(true_, kDistance, errors_.poses);
+  }
+
+  std::vector<View> Wrong() const {
+    std::vector<View> views;
+    for (const View& view : true_) views.push_back(errors_.Corrected(view));
+    return views;
+  }
+  // From the views as given to the corrections of them.
+  CameraCorrections Find(const std::vector<View>& given, int n_updates) const {
+    const ImagePack pack(directory_.path());
+    PixelSource pixels(given, pack, 1);
+    CameraCorrections found = CameraCorrections::None(given);
+    for (int i = 0; i < n_updates; ++i) {
+      found = UpdateCameras(pixels, given, found, ShowRays, 300, 1, uint64_t(i)).corrections;
+      std::vector<View> moved;
+      for (const View& view : given) moved.push_back(found.Corrected(view));
+      pixels.MoveViews(moved);
+    }
+    return found;
+  }
+  // Of the picture of points of the ball before the camera, px; the largest of all views.
+  double LargestError_px(const std::vector<View>& views) const {
+    double largest = 0;
+    for (size_t i = 0; i < views.size(); ++i) {
+      for (const auto& [x, y] : {std::pair(0., 0.), {0.5, 0.}, {-0.5, 0.}, {0., 0.5}, {0., -0.5}}) {
+        const Mat4& m = true_[i].scene_from_camera;
+        Vec3 point{};
+        for (size_t k = 0; k < 3; ++k)
+          point[k] = x * m[4 * k] + y * m[4 * k + 1] - std::sqrt(1 - x * x - y * y) * m[4 * k + 2];
+        const auto [u, v] = Project(views[i], point);
+        const auto [true_u, true_v] = Project(true_[i], point);
+        largest = std::max(largest, std::hypot(u - true_u, v - true_v));
+      }
+    }
+    return largest;
+  }
+  static std::pair<double, double> Project(const View& view, const Vec3& point) {
+    const Mat4& m = view.scene_from_camera;
+    Vec3 at{};
+    for (size_t k = 0; k < 3; ++k) {
+      for (size_t row = 0; row < 3; ++row) at[k] += m[4 * row + k] * (point[row] - m[4 * row + 3]);
+    }
+    return {view.fx * at[0] / at[2] + view.cx, view.fy * at[1] / at[2] + view.cy};
+  }
+  static std::vector<View> Corrected(const std::vector<View>& views, const CameraCorrections& corrections) {
+    std::vector<View> corrected;
+    for (const View& view : views) corrected.push_back(corrections.Corrected(view));
+    return corrected;
+  }
+
+  TemporaryDirectory directory_;
+  std::vector<View> true_;
+  CameraCorrections errors_;
+};
+
+TEST_F(CameraCorrectionsTest, WrongPosesAreFound) {
+  const std::vector<View> wrong = Wrong();
+  EXPECT_GT(LargestError_px(wrong), 1.5);
+  EXPECT_LT(LargestError_px(Corrected(wrong, Find(wrong, 1))), 0.5);
+  EXPECT_LT(LargestError_px(Corrected(wrong, Find(wrong, 5))), 0.08);
+}
+
+TEST_F(CameraCorrectionsTest, RightOnesStay) { EXPECT_LT(LargestError_px(Corrected(true_, Find(true_, 3))), 0.05); }
+
+TEST_F(CameraCorrectionsTest, AWrongFocalLengthIsFoundAndHeldOutViewsHaveIt) {
+  std::vector<View> wrong = true_;
+  for (View& view : wrong) {
+    view.fx *= 1.01;
+    view.fy *= 1.01;
+  }
+  const CameraCorrections found = Find(wrong, 5);
+  ASSERT_EQ(found.intrinsics.size(), 1u);
+  EXPECT_NEAR(found.intrinsics[0].log_focal, -std::log(1.01), 0.003);
+  View held_out = wrong[0];
+  held_out.id = "another";
+  EXPECT_NEAR(found.Corrected(held_out).fx, true_[0].fx, 0.003 * true_[0].fx);
+  EXPECT_EQ(found.Corrected(held_out).scene_from_camera, held_out.scene_from_camera);
+  held_out.width += 1;  // of another camera
+  EXPECT_EQ(found.Corrected(held_out).fx, held_out.fx);
+}
+
+// The model follows where all cameras go; only the held-out ones would not.
+TEST_F(CameraCorrectionsTest, ASimilarityOfTheWorldIsNoCorrection) {
+  CameraCorrections common = CameraCorrections::None(true_);
+  for (size_t i = 0; i < true_.size(); ++i) {
+    const Mat4& m = true_[i].scene_from_camera;
+    const Vec3 turn{0.003, -0.002, 0.004}, centre{m[3], m[7], m[11]};
+    const Vec3 shift{turn[1] * centre[2] - turn[2] * centre[1] + 0.01 + 0.005 * centre[0],
+                     turn[2] * centre[0] - turn[0] * centre[2] - 0.02 + 0.005 * centre[1],
+                     turn[0] * centre[1] - turn[1] * centre[0] + 0.005 * centre[2]};
+    for (size_t k = 0; k < 3; ++k) {
+      for (size_t row = 0; row < 3; ++row) {
+        common.poses[i].turn[k] += m[4 * row + k] * turn[row];
+        common.poses[i].shift[k] += m[4 * row + k] * shift[row];
+      }
+    }
+  }
+  TakeOutCommonMotion(true_, kDistance, common.poses);
+  for (const PoseCorrection& pose : common.poses) {
+    for (size_t k = 0; k < 3; ++k) {
+      EXPECT_NEAR(pose.turn[k], 0, 1e-8);
+      EXPECT_NEAR(pose.shift[k], 0, 1e-8);
+    }
+  }
+  std::vector<PoseCorrection> one(errors_.poses.begin(), errors_.poses.begin() + 1);  // alone, it has all in common
+  TakeOutCommonMotion({true_[0]}, kDistance, one);
+  EXPECT_NEAR(one[0].shift[0], 0, 1e-6);
+}
+
+TEST_F(CameraCorrectionsTest, JsonHoldsThemAndRefusesWhatIsNotFinite) {
+  CameraCorrections errors = errors_;
+  errors.intrinsics[0].log_focal = 0.01;
+  const Json json = errors;
+  EXPECT_EQ(Json(json.get<CameraCorrections>()), json);
+  EXPECT_EQ(Json::parse(json.dump()).get<CameraCorrections>().Corrected(true_[3]).scene_from_camera,
+            errors.Corrected(true_[3]).scene_from_camera);
+  Json broken = json;
+  broken["poses"][2]["turn"][1] = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_ANY_THROW(broken.get<CameraCorrections>());
+  broken = json;
+  broken["poses"][2].erase("shift");
+  EXPECT_ANY_THROW(broken.get<CameraCorrections>());
+}
+
+// Every other camera turned by about a pixel.
+class TrainTestWithWrongCameras : public TrainTest {
+ protected:
+  TrainTestWithWrongCameras() {
+    CameraCorrections errors = CameraCorrections::None(scene_.views);
+    for (size_t i = 0; i < errors.poses.size(); ++i)
+      errors.poses[i].turn = {i % 2 == 0 ? 0.02 : -0.02, i % 3 == 0 ? 0.02 : -0.01, 0};
+    for (View& view : scene_.views) {
+      if (view.split == Split::kTrain) view = errors.Corrected(view);
+    }
+  }
+  double Psnr(const std::vector<double>& moments, TrainOptions options, TrainState* state = nullptr) {
+    Preset preset = BallPreset(400);
+    preset.train.camera_moments = moments;
+    preset.train.camera_least_px = 0;
+    Trainer trainer(scene_, pack_, {}, preset, options);
+    while (!trainer.Done()) trainer.Step();
+    trainer.Sync();
+    trainer.state().SwapAverage();
+    if (state) state->cameras = trainer.state().cameras;
+    return HeldOutPsnr(trainer);
+  }
+};
+
+TEST_F(TrainTestWithWrongCameras, CorrectedOnesShowMore) {
+  TrainState state(BallPreset(1).field, 32, {}, 0);
+  const double without = Psnr({}, {.seed = 3}),
+               with = Psnr({0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5}, {.seed = 3}, &state);
+  EXPECT_GT(with, without + 0.5);
+  EXPECT_EQ(state.cameras.poses.size(), 6u);
+}
+
+TEST_F(TrainTestWithWrongCameras, ThoseThatHardlyMoveStay) {
+  Preset preset = BallPreset(40);
+  preset.train.camera_moments = {0.5, 0.6};
+  preset.train.camera_least_px = 1e6;
+  Trainer trainer(scene_, pack_, {}, preset, {.seed = 3});
+  while (!trainer.Done()) trainer.Step();
+  EXPECT_GT(trainer.state().camera_first_px, 0);
+  EXPECT_TRUE(trainer.state().cameras.poses.empty());
+  EXPECT_EQ(trainer.Corrected(scene_.views[0]).scene_from_camera, scene_.views[0].scene_from_camera);
+}
+
+}  // namespace
+}  // namespace nrff
