@@ -5,7 +5,6 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <stdexcept>
 #include <tuple>
@@ -25,16 +24,16 @@ using Matrix67 = Eigen::Matrix<double, 6, 7>;
 
 // Standard deviations that corrections have before anything is seen. A pixel's are those of a pose of a careful
 // reconstruction in the worst case; photos outweigh them by far in all that they tell.
-constexpr double kPoseDeviation_px = 3;
+constexpr double kPoseDeviation_px = 1.5;
 constexpr double kLogFocalDeviation = 0.005, kPrincipalDeviation_px = 2;
 constexpr double kMostStep_px = 2;     // a picture's motion in one step: derivatives hold for about a pixel
 constexpr double kHuber = 1.345;       // of the residuals' deviation: 95 % efficient where they are normal
 constexpr double kDeviation = 1.4826;  // of the median of absolute normal values
-constexpr double kChannels = 3;        // a pixel's three residuals say little more than one
-constexpr double kLeastOpacity = 0.5;  // of a pixel whose depth says where its point is
-constexpr double kEdge = 0.1;          // of the distance, within a pixel
-constexpr double kHalf_px = 0.5;       // of the differences
-constexpr int kKinds = 5;              // the pixel, then to its left, right, above, below
+constexpr double kAlike =
+    10;  // residuals say as much as one: a pixel's three, and those of a model that errs in patches
+constexpr double kEdge = 0.1;     // of the distance, within a pixel
+constexpr double kHalf_px = 0.5;  // of the differences
+constexpr int kKinds = 5;         // the pixel, then to its left, right, above, below
 
 Eigen::Vector3d Vector(const Vec3& v) { return {v[0], v[1], v[2]}; }
 Vec3 Array(const Eigen::Vector3d& v) { return {v.x(), v.y(), v.z()}; }
@@ -79,10 +78,42 @@ struct Sighting {
   double depth = 0;                          // along the axis, scene units
 };
 
-std::vector<std::vector<Sighting>> Look(const PixelSource& pixels, const RenderTrainingRays& render, int n_pixels,
-                                        uint64_t seed, uint64_t counter) {
+// How much the photo changes about a pixel: squared differences of its neighbours' colours.
+double Change(const PixelSource& pixels, const int32_t* pixel) {
+  const View& view = pixels.views()[size_t(pixel[0])];
+  const uint8_t* photo = pixels.pack().Pixels(view);
+  const auto at = [&](int x, int y) {
+    x = std::clamp(x, 0, view.width - 1);
+    y = std::clamp(y, 0, view.height - 1);
+    return photo + (size_t(y) * size_t(view.width) + size_t(x)) * size_t(view.channels);
+  };
+  const int x = pixel[1], y = pixel[2];
+  double sum = 0;
+  for (int c = 0; c < 3; ++c) {
+    sum += std::pow(double(at(x + 1, y)[c]) - at(x - 1, y)[c], 2);
+    sum += std::pow(double(at(x, y + 1)[c]) - at(x, y - 1)[c], 2);
+  }
+  return sum;
+}
+
+// Of every kTournament pixels the one that says most about where the camera is.
+Tensor MostTelling(const PixelSource& pixels, const Tensor& drawn) {
+  const auto* pixel = drawn.const_data_ptr<int32_t>();
+  std::vector<int32_t> chosen;
+  for (int64_t first = 0; first < drawn.size(0); first += kTournament) {
+    const int32_t* best = pixel + 3 * first;
+    for (int64_t i = first + 1; i < first + kTournament; ++i) {
+      if (Change(pixels, pixel + 3 * i) > Change(pixels, best)) best = pixel + 3 * i;
+    }
+    chosen.insert(chosen.end(), best, best + 3);
+  }
+  return at::tensor(chosen, torch::kInt).view({-1, 3});
+}
+
+std::vector<std::vector<Sighting>> Look(const PixelSource& pixels, const RenderTrainingRays& render,
+                                        const CameraLook& look) {
   const std::vector<View>& views = pixels.views();
-  const Tensor drawn = pixels.DrawOfEachView(n_pixels, seed, counter);
+  const Tensor drawn = MostTelling(pixels, pixels.DrawOfEachView(kTournament * look.n_pixels, look.seed, look.counter));
   const int64_t n = drawn.size(0);
   const auto* pixel = drawn.const_data_ptr<int32_t>();
   // A view whose principal point lies half a pixel to the right shows, at a pixel's centre, what lies to its left.
@@ -107,27 +138,20 @@ std::vector<std::vector<Sighting>> Look(const PixelSource& pixels, const RenderT
     }
   }
   const Tensor target = pixels.At(drawn).target.contiguous();
-  const RenderResult shown = render(RaysThroughPixels(shifted, places, torch::kFloat), view_of);
-  const Tensor rgb = shown.rgb.contiguous(), depth = shown.depth.contiguous(), opacity = shown.opacity.contiguous();
+  const RenderedImage shown = render(RaysThroughPixels(shifted, places, torch::kFloat), view_of);
   std::vector<std::vector<Sighting>> sightings(views.size());
   for (int64_t i = 0; i < n; ++i) {
     const View& view = views[size_t(pixel[3 * i])];
     const auto colour = [&](int kind) {
-      return Eigen::Map<const Eigen::Vector3f>(rgb.const_data_ptr<float>() + 3 * (kKinds * i + kind)).cast<double>();
+      return Eigen::Map<const Eigen::Vector3f>(shown.rgb.data() + 3 * (kKinds * i + kind)).cast<double>();
     };
-    // At an edge that hides others, what is seen moves with neither side.
-    std::array<double, kKinds> distances;
-    bool opaque = true;
-    for (int kind = 0; kind < kKinds; ++kind) {
-      const double part = opacity.const_data_ptr<float>()[kKinds * i + kind];
-      opaque &= part >= kLeastOpacity;
-      distances[size_t(kind)] = depth.const_data_ptr<float>()[kKinds * i + kind] / part;
-    }
-    const auto [nearest, farthest] = std::minmax_element(distances.begin(), distances.end());
-    if (!opaque || !(*farthest - *nearest < kEdge * *nearest)) continue;
+    // At an edge that hides others, what is seen moves with neither side. Where nothing opaque is, depth is 0.
+    const auto [nearest, farthest] =
+        std::minmax_element(shown.depth.data() + kKinds * i, shown.depth.data() + kKinds * (i + 1));
+    if (!(*nearest > 0) || !(*farthest - *nearest < kEdge * *nearest)) continue;
     const double u = pixel[3 * i + 1] + 0.5 - view.cx, v = pixel[3 * i + 2] + 0.5 - view.cy;
     const Eigen::Vector3d through(u / view.fx, v / view.fy, 1);
-    const double z = distances[0] / through.norm();
+    const double z = double(shown.depth[size_t(kKinds * i)]) / through.norm();
     const Eigen::Vector3d point = z * through;
     Sighting sighting;
     sighting.depth = z;
@@ -135,7 +159,7 @@ std::vector<std::vector<Sighting>> Look(const PixelSource& pixels, const RenderT
         Eigen::Map<const Eigen::Vector3f>(target.const_data_ptr<float>() + 3 * i).cast<double>() - colour(0);
     sighting.by_place.col(0) = (colour(2) - colour(1)) / (2 * kHalf_px);
     sighting.by_place.col(1) = (colour(4) - colour(3)) / (2 * kHalf_px);
-    if (!(z > 0) || !std::isfinite(z) || !sighting.residual.allFinite() || !sighting.by_place.allFinite()) continue;
+    if (!std::isfinite(z) || !sighting.residual.allFinite() || !sighting.by_place.allFinite()) continue;
     // The pixel of the moved camera shows the point turn × X + shift away, in the axes of the camera as it was.
     Eigen::Matrix<double, 2, 3> projection;
     projection << view.fx / z, 0, -u / z, 0, view.fy / z, -v / z;
@@ -213,6 +237,120 @@ Vector6 PoseWeights(double distance) {
 Vector7 Solve(Matrix7 normal, const Vector7& right) {
   normal.diagonal().array() += 1e-9 * std::max(normal.trace(), 1e-300);
   return normal.ldlt().solve(right);
+}
+
+// The median depth of all sightings, 1 where there are none.
+double SceneDistance(const std::vector<std::vector<Sighting>>& sightings) {
+  std::vector<double> depths;
+  for (const auto& of_view : sightings) {
+    for (const Sighting& sighting : of_view) depths.push_back(sighting.depth);
+  }
+  return depths.empty() ? 1 : MedianOf(std::move(depths));
+}
+
+// ½ xᵀHx − bᵀx, H an arrow: a block for each pose, one for each kind of intrinsics, and those between.
+struct System {
+  struct OfView {
+    Matrix6 normal = Matrix6::Zero();
+    Vector6 right = Vector6::Zero();
+    Eigen::Matrix<double, 6, 3> between = Eigen::Matrix<double, 6, 3>::Zero();
+    Matrix67 constraint;  // what the pose adds to the common motion, transposed
+    size_t kind = 0;
+  };
+  std::vector<OfView> views;
+  std::vector<Eigen::Matrix3d> inner_normal;
+  std::vector<Eigen::Vector3d> inner_right;
+};
+
+System Linearise(const std::vector<std::vector<Sighting>>& sightings, const std::vector<View>& given,
+                 const CameraCorrections& so_far, double distance) {
+  const double deviation = ResidualDeviation(sightings);
+  System system;
+  const Eigen::Vector3d inner_prior =
+      Eigen::Vector3d(kLogFocalDeviation, kPrincipalDeviation_px, kPrincipalDeviation_px).cwiseAbs2().cwiseInverse();
+  for (const IntrinsicsCorrection& inner : so_far.intrinsics) {
+    system.inner_normal.emplace_back(inner_prior.asDiagonal());
+    system.inner_right.emplace_back(-inner_prior.cwiseProduct(Packed(inner)));
+  }
+  for (size_t i = 0; i < given.size(); ++i) {
+    System::OfView of;
+    of.kind = IntrinsicsOf(given[i], so_far.intrinsics);
+    of.constraint = PoseWeights(distance).asDiagonal() * BySimilarity(given[i]);
+    const double depth = MedianDepth(sightings[i]);
+    const double turn = kPoseDeviation_px / given[i].fx, shift = turn * (depth > 0 ? depth : distance);
+    Vector6 prior;
+    prior << Eigen::Vector3d::Constant(1 / (turn * turn)), Eigen::Vector3d::Constant(1 / (shift * shift));
+    of.normal.diagonal() += prior;
+    of.right -= prior.cwiseProduct(Packed(so_far.poses[i]));
+    for (const Sighting& sighting : sightings[i]) {
+      const double size = sighting.residual.norm() / std::sqrt(3.);
+      const double weight = std::min(1., kHuber * deviation / std::max(size, 1e-12)) / (kAlike * deviation * deviation);
+      const Eigen::Matrix<double, 3, 6> by_pose = sighting.by_place * sighting.motion;
+      const Eigen::Matrix3d by_inner = sighting.by_place * sighting.motion_inner;
+      of.normal += weight * by_pose.transpose() * by_pose;
+      of.right += weight * by_pose.transpose() * sighting.residual;
+      of.between += weight * by_pose.transpose() * by_inner;
+      system.inner_normal[of.kind] += weight * by_inner.transpose() * by_inner;
+      system.inner_right[of.kind] += weight * by_inner.transpose() * sighting.residual;
+    }
+    system.views.push_back(of);
+  }
+  return system;
+}
+
+struct Step {
+  std::vector<Vector6> poses;
+  std::vector<Eigen::Vector3d> inner;
+};
+
+double Limit(double displacement_px) { return std::min(1., kMostStep_px / std::max(displacement_px, 1e-12)); }
+
+// The minimum where x and what was corrected before have no motion in common, C(x + x₀) = 0: it is H⁻¹(b − Cᵀλ) with
+// CH⁻¹Cᵀ λ = C(H⁻¹b + x₀). Of H the poses are eliminated first. Steps are then held back to kMostStep_px.
+Step MinimiseWithoutCommonMotion(const System& system, const std::vector<std::vector<Sighting>>& sightings,
+                                 const CameraCorrections& so_far) {
+  using Columns = Eigen::Matrix<double, Eigen::Dynamic, 8>;  // b, then Cᵀ
+  const size_t n_views = system.views.size(), n_kinds = system.inner_normal.size();
+  std::vector<Eigen::LDLT<Matrix6>> solvers;
+  std::vector<Columns> pose_columns, inner_columns;
+  std::vector<Eigen::Matrix3d> inner_normal = system.inner_normal;
+  for (const Eigen::Vector3d& right : system.inner_right) {
+    inner_columns.emplace_back(Columns::Zero(3, 8));
+    inner_columns.back().col(0) = right;
+  }
+  for (const System::OfView& of : system.views) {
+    solvers.emplace_back(of.normal);
+    pose_columns.emplace_back(6, 8);
+    pose_columns.back() << of.right, of.constraint;
+    inner_normal[of.kind] -= of.between.transpose() * solvers.back().solve(of.between);
+    inner_columns[of.kind] -= of.between.transpose() * solvers.back().solve(pose_columns.back());
+  }
+  for (size_t kind = 0; kind < n_kinds; ++kind)
+    inner_columns[kind] = inner_normal[kind].ldlt().solve(inner_columns[kind]).eval();
+  Matrix7 constrained = Matrix7::Zero();
+  Vector7 in_common = Vector7::Zero();
+  for (size_t i = 0; i < n_views; ++i) {
+    const System::OfView& of = system.views[i];
+    const Columns solved = solvers[i].solve(pose_columns[i] - of.between * inner_columns[of.kind]);
+    constrained += of.constraint.transpose() * solved.rightCols<7>();
+    in_common += of.constraint.transpose() * (solved.col(0) + Packed(so_far.poses[i]));
+  }
+  const Vector7 multipliers = Solve(constrained, in_common);
+
+  Step step;
+  for (const Columns& solved : inner_columns) step.inner.push_back(solved.col(0) - solved.rightCols<7>() * multipliers);
+  std::vector<double> limits(n_kinds, 1);
+  for (size_t i = 0; i < n_views; ++i) {
+    const size_t kind = system.views[i].kind;
+    limits[kind] = std::min(limits[kind], Limit(Displacement(sightings[i], Vector6::Zero(), step.inner[kind])));
+  }
+  for (size_t kind = 0; kind < n_kinds; ++kind) step.inner[kind] *= limits[kind];
+  for (size_t i = 0; i < n_views; ++i) {
+    const System::OfView& of = system.views[i];
+    const Vector6 pose = solvers[i].solve(of.right - of.constraint * multipliers - of.between * step.inner[of.kind]);
+    step.poses.emplace_back(pose * Limit(Displacement(sightings[i], pose, Eigen::Vector3d::Zero())));
+  }
+  return step;
 }
 
 double Finite(const Json& json) {
@@ -303,113 +441,31 @@ void TakeOutCommonMotion(const std::vector<View>& given, double distance, std::v
 }
 
 CameraUpdate UpdateCameras(const PixelSource& pixels, const std::vector<View>& given, const CameraCorrections& so_far,
-                           const RenderTrainingRays& render, int n_pixels, uint64_t seed, uint64_t counter) {
-  const std::vector<std::vector<Sighting>> sightings = Look(pixels, render, n_pixels, seed, counter);
-  const double deviation = ResidualDeviation(sightings);
-  const size_t n_views = given.size(), n_kinds = so_far.intrinsics.size();
-
-  // Normal equations: a block for each pose, one for each kind of intrinsics, and those between.
-  struct OfView {
-    Matrix6 normal;
-    Vector6 right;
-    Eigen::Matrix<double, 6, 3> between;
-    Matrix67 constraint;  // transposed
-    Eigen::LDLT<Matrix6> solver;
-    size_t kind;
-  };
-  std::vector<OfView> of_views;
-  std::vector<Eigen::Matrix3d> inner_normal;
-  std::vector<Eigen::Vector3d> inner_right;
-  for (const IntrinsicsCorrection& inner : so_far.intrinsics) {
-    const Eigen::Vector3d inverse =
-        Eigen::Vector3d(kLogFocalDeviation, kPrincipalDeviation_px, kPrincipalDeviation_px).cwiseAbs2().cwiseInverse();
-    inner_normal.push_back(inverse.asDiagonal());
-    inner_right.push_back(-inverse.cwiseProduct(Packed(inner)));
-  }
-  std::vector<double> depths;
-  for (size_t i = 0; i < n_views; ++i) {
-    const double depth = MedianDepth(sightings[i]);
-    if (depth > 0) depths.push_back(depth);
-    const double turn = kPoseDeviation_px / given[i].fx, shift = turn * (depth > 0 ? depth : 1);
-    Vector6 inverse;
-    inverse << Eigen::Vector3d::Constant(1 / (turn * turn)), Eigen::Vector3d::Constant(1 / (shift * shift));
-    OfView of{inverse.asDiagonal(),
-              -inverse.cwiseProduct(Packed(so_far.poses[i])),
-              Eigen::Matrix<double, 6, 3>::Zero(),
-              Matrix67::Zero(),
-              {},
-              IntrinsicsOf(given[i], so_far.intrinsics)};
-    for (const Sighting& sighting : sightings[i]) {
-      const double size = sighting.residual.norm() / std::sqrt(kChannels);
-      const double weight =
-          std::min(1., kHuber * deviation / std::max(size, 1e-12)) / (kChannels * deviation * deviation);
-      const Eigen::Matrix<double, 3, 6> by_pose = sighting.by_place * sighting.motion;
-      const Eigen::Matrix3d by_inner = sighting.by_place * sighting.motion_inner;
-      of.normal += weight * by_pose.transpose() * by_pose;
-      of.right += weight * by_pose.transpose() * sighting.residual;
-      of.between += weight * by_pose.transpose() * by_inner;
-      inner_normal[of.kind] += weight * by_inner.transpose() * by_inner;
-      inner_right[of.kind] += weight * by_inner.transpose() * sighting.residual;
-    }
-    of.solver.compute(of.normal);
-    of_views.push_back(std::move(of));
-  }
-  // min ½ xᵀHx − bᵀx where x and what was corrected before have no motion in common: C(x + x₀) = 0. The solution is
-  // H⁻¹(b − Cᵀλ) with CH⁻¹Cᵀ λ = C(H⁻¹b + x₀). Of H, an arrow, the poses are eliminated first.
-  const double distance = depths.empty() ? 1 : MedianOf(depths);
-  using Columns = Eigen::Matrix<double, Eigen::Dynamic, 8>;  // b, then Cᵀ
-  std::vector<Columns> pose_columns, inner_columns;
-  for (size_t kind = 0; kind < n_kinds; ++kind) {
-    inner_columns.emplace_back(Columns::Zero(3, 8));
-    inner_columns[kind].col(0) = inner_right[kind];
-  }
-  for (size_t i = 0; i < n_views; ++i) {
-    OfView& of = of_views[i];
-    of.constraint = PoseWeights(distance).asDiagonal() * BySimilarity(given[i]);
-    pose_columns.emplace_back(6, 8);
-    pose_columns[i] << of.right, of.constraint;
-    inner_normal[of.kind] -= of.between.transpose() * of.solver.solve(of.between);
-    inner_columns[of.kind] -= of.between.transpose() * of.solver.solve(pose_columns[i]);
-  }
-  std::vector<Columns> inner_solved;
-  for (size_t kind = 0; kind < n_kinds; ++kind)
-    inner_solved.emplace_back(inner_normal[kind].ldlt().solve(inner_columns[kind]));
-  Matrix7 constrained = Matrix7::Zero();
-  Vector7 in_common = Vector7::Zero();
-  for (size_t i = 0; i < n_views; ++i) {
-    const OfView& of = of_views[i];
-    const Columns solved = of.solver.solve(pose_columns[i] - of.between * inner_solved[of.kind]);
-    constrained += of.constraint.transpose() * solved.rightCols<7>();
-    in_common += of.constraint.transpose() * (solved.col(0) + Packed(so_far.poses[i]));
-  }
-  const Vector7 multipliers = Solve(constrained, in_common);
-  std::vector<Eigen::Vector3d> inner_step;
-  for (const Columns& solved : inner_solved) inner_step.push_back(solved.col(0) - solved.rightCols<7>() * multipliers);
-  double most = 0;
-  for (size_t i = 0; i < n_views; ++i)
-    most = std::max(most, Displacement(sightings[i], Vector6::Zero(), inner_step[of_views[i].kind]));
-  for (Eigen::Vector3d& step : inner_step) step *= std::min(1., kMostStep_px / std::max(most, 1e-12));
+                           const RenderTrainingRays& render, const CameraLook& look) {
+  const std::vector<std::vector<Sighting>> sightings = Look(pixels, render, look);
+  const double distance = SceneDistance(sightings);
+  const System system = Linearise(sightings, given, so_far, distance);
+  Step step = MinimiseWithoutCommonMotion(system, sightings, so_far);
+  for (Vector6& pose : step.poses) pose *= look.gain;
+  for (Eigen::Vector3d& inner : step.inner) inner *= look.gain;
 
   CameraUpdate update{so_far, {}};
-  for (size_t kind = 0; kind < n_kinds; ++kind) {
+  for (size_t kind = 0; kind < step.inner.size(); ++kind) {
     IntrinsicsCorrection& inner = update.corrections.intrinsics[kind];
-    inner.log_focal += inner_step[kind][0];
-    inner.shift_x += inner_step[kind][1];
-    inner.shift_y += inner_step[kind][2];
+    inner.log_focal += step.inner[kind][0];
+    inner.shift_x += step.inner[kind][1];
+    inner.shift_y += step.inner[kind][2];
   }
-  for (size_t i = 0; i < n_views; ++i) {
+  for (size_t i = 0; i < step.poses.size(); ++i) {
     PoseCorrection& pose = update.corrections.poses[i];
-    const OfView& of = of_views[i];
-    Vector6 step = of.solver.solve(of.right - of.constraint * multipliers - of.between * inner_step[of.kind]);
-    step *= std::min(1., kMostStep_px / std::max(Displacement(sightings[i], step, Eigen::Vector3d::Zero()), 1e-12));
     const Eigen::Matrix3d so_far_turned = RotationOf(pose.turn);
-    pose.shift = Array(Vector(pose.shift) + so_far_turned * step.tail<3>());
-    pose.turn = TurnOf(so_far_turned * RotationOf(Array(step.head<3>())));
+    pose.shift = Array(Vector(pose.shift) + so_far_turned * step.poses[i].tail<3>());
+    pose.turn = TurnOf(so_far_turned * RotationOf(Array(step.poses[i].head<3>())));
   }
   TakeOutCommonMotion(given, distance, update.corrections.poses);  // of second order
-  for (size_t i = 0; i < n_views; ++i) {
+  for (size_t i = 0; i < step.poses.size(); ++i) {
     update.displacement_px.push_back(Displacement(sightings[i], Packed(update.corrections.poses[i]),
-                                                  Packed(update.corrections.intrinsics[of_views[i].kind])));
+                                                  Packed(update.corrections.intrinsics[system.views[i].kind])));
   }
   return update;
 }

@@ -77,7 +77,7 @@ struct TrainConfig {
   // they are looked at: where that would move pictures by less than camera_least_px, in the median of the views, they
   // stay as they are.
   std::vector<double> camera_moments = {};
-  int camera_pixels = 128;
+  int camera_pixels = 200;  // fewer where there are many views
   double camera_least_px = needs::kVisibleDisplacement_px;
 
   // Marching step = step_ratio · (volume of the box)^(1/3) / step_voxels[i]; i grows at each of step_moments. The box

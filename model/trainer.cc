@@ -25,6 +25,9 @@ constexpr double kMseMemory = 0.98;       // of the running mean of the batches'
 constexpr double kLeastShrinking = 0.95;  // a box whose volume shrinks less than to this stays as it is
 constexpr double kStray = 1e-3;           // of the occupied cells: less that hangs together does not hold the box open
 constexpr int64_t kFewestRays = 64;
+// Looks at the cameras: of all views together, of each, and how much less of a step each makes than the one before.
+constexpr int kMostSightings = 20000, kFewestSightings = 40;
+constexpr double kLossOfGain = 0.5, kLeastGain = 0.2;
 
 std::vector<View> TrainingViews(const Scene& scene) {
   std::vector<View> views;
@@ -116,21 +119,22 @@ RenderOptions Trainer::EvaluationOptions() const {
   return options;
 }
 
+RenderedImage Trainer::Show(const Rays& rays) {
+  const RenderOptions options = EvaluationOptions();
+  return gpu_ ? gpu_->RenderImage(state_, rays, options)
+              : RenderRayImage(state_.field, state_.occupancy, state_.map, rays, options);
+}
+
 Tensor Trainer::RenderMean(const View& view, const Rays& rays) {
   const c10::NoGradGuard no_grad;
-  const RenderOptions options = EvaluationOptions();
   state_.SwapAverage();
-  const RenderResult result = gpu_ ? gpu_->Render(state_, rays, options)
-                                   : RenderRays(state_.field, state_.occupancy, state_.map, rays, options);
-  Tensor rgb = result.rgb.contiguous();
+  RenderedImage image = Show(rays);
   const ViewColours colours(state_.field, pixels_.views());
-  if (!colours.empty()) {
-    CorrectColours(colours.Of(view), background_, rgb.size(0), result.opacity.contiguous().const_data_ptr<float>(),
-                   rgb.mutable_data_ptr<float>());
-  }
+  if (!colours.empty())
+    CorrectColours(colours.Of(view), background_, image.width, image.opacity.data(), image.rgb.data());
   state_.SwapAverage();
   if (gpu_) gpu_->UploadParameters(state_);
-  return rgb;
+  return at::tensor(image.rgb).view({-1, 3});
 }
 
 double Trainer::TrainPsnr() const { return -10 * std::log10(state_.train_mse < 0 ? NAN : state_.train_mse); }
@@ -162,33 +166,19 @@ void Trainer::MoveCameras() {
   if (gpu_) gpu_->SetViews(pixels_);
 }
 
-RenderResult Trainer::RenderTraining(const Rays& rays, const Tensor& view) {
-  constexpr int64_t kAtOnce = 4096;
+RenderedImage Trainer::RenderTraining(const Rays& rays, const Tensor& view) {
   const c10::NoGradGuard no_grad;
-  const RenderOptions options = EvaluationOptions();
+  RenderedImage image = Show(rays);
   const ViewColours colours(state_.field, pixels_.views());
-  const int64_t n = rays.origins.size(0);
-  RenderResult all;
-  all.rgb = at::empty({n, 3}, torch::kFloat);
-  all.depth = at::empty({n}, torch::kFloat);
-  all.opacity = at::empty({n}, torch::kFloat);
-  for (int64_t first = 0; first < n; first += kAtOnce) {
-    const int64_t end = std::min(n, first + kAtOnce);
-    const Rays some{rays.origins.slice(0, first, end), rays.directions.slice(0, first, end)};
-    const RenderResult result = gpu_ ? gpu_->Render(state_, some, options)
-                                     : RenderRays(state_.field, state_.occupancy, state_.map, some, options);
-    all.rgb.slice(0, first, end).copy_(result.rgb);
-    all.depth.slice(0, first, end).copy_(result.depth);
-    all.opacity.slice(0, first, end).copy_(result.opacity);
-  }
-  if (colours.empty()) return all;
+  if (colours.empty()) return image;
   const auto* of = view.const_data_ptr<int32_t>();
+  const int64_t n = view.size(0);
   for (int64_t first = 0, end = 0; first < n; first = end) {
     while (end < n && of[end] == of[first]) ++end;
     CorrectColours(colours.Of(pixels_.views()[size_t(of[first])]), background_, end - first,
-                   all.opacity.const_data_ptr<float>() + first, all.rgb.mutable_data_ptr<float>() + 3 * first);
+                   image.opacity.data() + first, image.rgb.data() + 3 * first);
   }
-  return all;
+  return image;
 }
 
 void Trainer::CorrectCameras() {
@@ -196,10 +186,14 @@ void Trainer::CorrectCameras() {
   const bool first = state_.camera_first_px < 0;
   if (!first && state_.cameras.poses.empty()) return;  // they stay
   Download();
-  const CameraUpdate update = UpdateCameras(
-      pixels_, training_views_, first ? CameraCorrections::None(training_views_) : state_.cameras,
-      [&](const Rays& rays, const Tensor& view) { return RenderTraining(rays, view); }, config.camera_pixels,
-      options_.seed, uint64_t(state_.camera_moments_done));
+  const CameraUpdate update =
+      UpdateCameras(pixels_, training_views_, first ? CameraCorrections::None(training_views_) : state_.cameras,
+                    [&](const Rays& rays, const Tensor& view) { return RenderTraining(rays, view); },
+                    {.n_pixels = std::max(kFewestSightings,
+                                          std::min(config.camera_pixels, kMostSightings / int(training_views_.size()))),
+                     .gain = std::max(kLeastGain, 1 / (1 + kLossOfGain * state_.camera_moments_done)),
+                     .seed = options_.seed,
+                     .counter = uint64_t(state_.camera_moments_done)});
   if (first) {
     std::vector<double> sorted = update.displacement_px;
     const auto median = sorted.begin() + std::ptrdiff_t(sorted.size() / 2);

@@ -18,6 +18,7 @@
 #include "model/training_step.h"
 #include "pipeline/json.h"
 #include "pipeline/scene.h"
+#include "render/image_renderer.h"
 
 namespace nrff {
 
@@ -97,7 +98,10 @@ class Trainer {
   void MoveCameras();
   // Corrects them once more, or finds at the first look that they stay.
   void CorrectCameras();
-  RenderResult RenderTraining(const Rays& rays, const torch::Tensor& view);
+  // By the parameters that the state has.
+  RenderedImage Show(const Rays& rays);
+  // In the exposure of each ray's training view, view [n] int32.
+  RenderedImage RenderTraining(const Rays& rays, const torch::Tensor& view);
   void Shrink();
   // What of the CPU's step is not finite, if anything.
   std::string NotFinite(const TrainingStep::Result& result) const;

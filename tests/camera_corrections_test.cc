@@ -25,10 +25,10 @@ using torch::Tensor;
 constexpr int kSize = 64;  // px
 constexpr double kDistance = 2.5;
 
-// A ball of radius 1 in a smooth pattern. rgb [3], depth along the ray, opacity 0 or 1.
+// A ball of radius 1 in a smooth pattern, along a ray.
 struct Shown {
   std::array<double, 3> rgb{1, 1, 1};
-  double depth = 0, opacity = 0;
+  double depth = 0;  // 0: nothing is hit
 };
 Shown ShowBall(const double* origin, const double* direction) {
   double along = 0, square = 0;
@@ -40,27 +40,23 @@ Shown ShowBall(const double* origin, const double* direction) {
   if (root <= 0) return {};
   const double t = -along - std::sqrt(root);
   const auto at = [&](int k) { return origin[k] + t * direction[k]; };
-  Shown shown{{}, t, 1};
+  Shown shown{{}, t};
   for (int c = 0; c < 3; ++c)
     shown.rgb[size_t(c)] =
         0.5 + 0.2 * std::sin(7 * at(c) + 1) + 0.2 * std::cos(6 * at((c + 1) % 3) + 4 * at((c + 2) % 3));
   return shown;
 }
 
-RenderResult ShowRays(const Rays& rays, const Tensor& /*view*/) {
+RenderedImage ShowRays(const Rays& rays, const Tensor& /*view*/) {
   const int64_t n = rays.origins.size(0);
   const Tensor origins = rays.origins.to(torch::kDouble), directions = rays.directions.to(torch::kDouble);
-  RenderResult result;
-  result.rgb = at::empty({n, 3}, torch::kFloat);
-  result.depth = at::empty({n}, torch::kFloat);
-  result.opacity = at::empty({n}, torch::kFloat);
+  RenderedImage image;
   for (int64_t i = 0; i < n; ++i) {
     const Shown shown = ShowBall(origins.const_data_ptr<double>() + 3 * i, directions.const_data_ptr<double>() + 3 * i);
-    for (int c = 0; c < 3; ++c) result.rgb.mutable_data_ptr<float>()[3 * i + c] = float(shown.rgb[size_t(c)]);
-    result.depth.mutable_data_ptr<float>()[i] = float(shown.depth);
-    result.opacity.mutable_data_ptr<float>()[i] = float(shown.opacity);
+    for (const double value : shown.rgb) image.rgb.push_back(float(value));
+    image.depth.push_back(float(shown.depth));
   }
-  return result;
+  return image;
 }
 
 // Eight cameras about the ball, and their photos.
@@ -120,7 +116,8 @@ class CameraCorrectionsTest : public ::testing::Test {
     PixelSource pixels(given, pack, 1);
     CameraCorrections found = CameraCorrections::None(given);
     for (int i = 0; i < n_updates; ++i) {
-      found = UpdateCameras(pixels, given, found, ShowRays, 300, 1, uint64_t(i)).corrections;
+      found = UpdateCameras(pixels, given, found, ShowRays, {.n_pixels = 300, .seed = 1, .counter = uint64_t(i)})
+                  .corrections;
       std::vector<View> moved;
       for (const View& view : given) moved.push_back(found.Corrected(view));
       pixels.MoveViews(moved);
