@@ -310,14 +310,14 @@ TEST_F(EstimateExtended, TheModelGrowsAndStaysInItsWorld) {
   EXPECT_EQ(extension.at("frame_kept"), true);
   EXPECT_EQ(extension.at("n_added_placed"), 2);
   EXPECT_EQ(extension.at("mapped_anew"), false);
-  EXPECT_LT(extension.at("largest_shift_px"), 1e-6);
+  EXPECT_LT(extension.at("largest_shift_px"), 1e-4);
   const ColmapModel before = ReadColmapModel(base_ / "sparse"), after = ReadColmapModel(sfm_ / "sparse");
   ASSERT_EQ(after.images.size(), 8u);
   for (const auto& [id, image] : before.images) {
-    EXPECT_LT((after.images.at(id).Center() - image.Center()).norm(), 1e-6);
-    EXPECT_LT(after.images.at(id).rotation.angularDistance(image.rotation), 1e-6);
+    EXPECT_LT((after.images.at(id).Center() - image.Center()).norm(), 1e-5);
+    EXPECT_LT(after.images.at(id).rotation.angularDistance(image.rotation), 1e-5);
   }
-  for (const auto& [id, point] : before.points) EXPECT_LT((after.points.at(id).position - point.position).norm(), 1e-6);
+  for (const auto& [id, point] : before.points) EXPECT_LT((after.points.at(id).position - point.position).norm(), 1e-5);
   EXPECT_EQ(manifest.facts.at("n_registered"), 8);
   EXPECT_EQ(manifest.decisions.back().feature, "poses_anew");
   EXPECT_FALSE(manifest.decisions.back().needed);

@@ -5,9 +5,11 @@ const degrees = (value) => (isNumber(value) ? `${value < 0.001 ? value.toExponen
 const share = (value) => (isNumber(value) ? `${value < 1e-5 ? (100 * value).toExponential(1) : Number((100 * value).toPrecision(2))} %` : DASH);
 const middle = (values) => (values.length > 0 ? median(values) : NaN);
 
-// tracks: [{length, n}]. Bars on a log scale of lengths would hide that most are short: lengths from `kMost` on share one.
+const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1);
+
+// tracks: [{length, n}]; lengths from `kMost` on share a bar.
 function trackBars(tracks) {
-  const kMost = 12, bars = new Map();
+  const kMost = 12, kTallest = 110, bars = new Map();
   for (const {length, n} of tracks) bars.set(Math.min(length, kMost), (bars.get(Math.min(length, kMost)) ?? 0) + n);
   const most = Math.max(...bars.values()), total = [...bars.values()].reduce((sum, n) => sum + n, 0);
   return el("div", {className: "bars", role: "img", "aria-label": "Points by the number of photos that see them"},
@@ -15,7 +17,7 @@ function trackBars(tracks) {
       const n = bars.get(length) ?? 0;
       return el("div", {title: `${format.count(n)} points`},
         el("span", {}, n > 0 ? `${(100 * n / total).toFixed(n / total < 0.1 ? 1 : 0)} %` : ""),
-        el("i", {style: `height: ${100 * n / most}%`}), el("b", {}, length === kMost ? `${kMost}+` : String(length)));
+        el("i", {style: `height: ${kTallest * n / most}px`}), el("b", {}, length === kMost ? `${kMost}+` : String(length)));
     }));
 }
 
@@ -36,18 +38,20 @@ function makeCertificate(certificate) {
   const children = [];
   if (degeneracy || structure.length > 0) {
     children.push(el("div", {className: "notice"}, el("strong", {}, "What these photos leave open"),
-      degeneracy ? el("p", {}, degeneracy) : null,
-      ...structure.filter((text) => !degeneracy?.includes(text)).map((text) => el("p", {}, `${text}; lenses and poses are fixed nevertheless`))));
+      degeneracy ? el("p", {}, `${sentence(degeneracy)}.`) : null,
+      ...structure.filter((text) => !degeneracy?.includes(text)).map((text) => el("p", {}, `${sentence(text)}; lenses and poses are fixed nevertheless.`))));
   }
   const atMinimum = converged || /at its minimum/.test(reason ?? "");
   const tiles = el("dl", {className: "tiles"});
   const add = (label, value, note) => tiles.append(el("div", {className: "tile"}, el("dt", {}, label), el("dd", {}, value), el("p", {}, note)));
   add("Reprojection error", px(error.before.median), `median; ${px(error.before.mean)} in the mean`);
   add("At the joint minimum", px(error.after.median), atMinimum
-    ? `poses, lenses and points fitted together move it no further${isNumber(remaining) ? ` than ${remaining.toExponential(0)} standard deviations` : ""}`
-    : reason ?? "not reached: the fit was stopped before");
-  add("Points", format.large(certificate.n_points), `${format.large(certificate.n_observations)} observations; left out: ${plural(out.points, "point")} seen by one photo, ` +
-    `${plural(out.behind, "observation")} from behind, ${out.beyond_lens} beyond the lens`);
+    ? `of poses, lenses and points together; converged${isNumber(remaining) ? `, ${Number(remaining.toPrecision(1))} standard deviations from it` : ""}`
+    : sentence(reason ?? "not converged: the fit was stopped before"));
+  const leftOut = [[out.points, "point", " seen by one photo"], [out.behind, "observation", " from behind"], [out.beyond_lens, "observation", " beyond the lens"]]
+    .filter(([n]) => n > 0).map(([n, what, where]) => plural(n, what) + where);
+  add("Points", format.large(certificate.n_points), `${format.large(certificate.n_observations)} observations, all in front of their cameras` +
+    (leftOut.length > 0 ? ` but those left out: ${leftOut.join(", ")}` : ""));
   add("Connected", certificate.components.length === 1 ? "all" : `${certificate.components.length} groups`, certificate.components.length === 1
     ? `${plural(certificate.components[0], "photo")} tied together by common points` : `of ${certificate.components.join(", ")} photos, which share no points`);
   children.push(tiles);
@@ -56,12 +60,13 @@ function makeCertificate(certificate) {
   }
   if (cameras.length > 0) {
     const most = Math.max(...cameras.map((camera) => camera.position), 1e-12);
-    const bar = (camera) => el("span", {}, share(camera.position), el("span", {className: "bar"}, el("i", {style: `width: ${100 * camera.position / most}%`})));
+    const isReference = (camera) => camera.position === 0 && camera.rotation_deg === 0;
+    const bar = (camera) => el("span", {}, isReference(camera) ? "the others refer to it" : share(camera.position), el("span", {className: "bar"}, el("i", {style: `width: ${100 * camera.position / most}%`})));
     const columns = [
       {label: "Photo", value: (camera) => camera.name},
       {label: "Held out", value: (camera) => (camera.split === "test" ? "yes" : "")},
       {label: "Place (± of its distance)", number: true, value: (camera) => camera.position, cell: bar},
-      {label: "Direction (±)", number: true, value: (camera) => camera.rotation_deg, cell: (camera) => degrees(camera.rotation_deg)},
+      {label: "Direction (±)", number: true, value: (camera) => camera.rotation_deg, cell: (camera) => (isReference(camera) ? "" : degrees(camera.rotation_deg))},
     ];
     children.push(el("h3", {}, "Cameras, least known first"), makeTable(columns, cameras, {long: true}).element);
   }
