@@ -372,6 +372,22 @@ CameraCorrections CameraCorrections::None(const std::vector<View>& training) {
   return none;
 }
 
+CameraCorrections CameraCorrections::Of(const std::vector<View>& training) const {
+  CameraCorrections all = None(training);
+  for (PoseCorrection& pose : all.poses) {
+    const auto known = std::find_if(poses.begin(), poses.end(), [&](const auto& of) { return of.view == pose.view; });
+    if (known != poses.end()) pose = *known;
+  }
+  for (IntrinsicsCorrection& inner : all.intrinsics) {
+    const auto known = std::find_if(intrinsics.begin(), intrinsics.end(), [&](const IntrinsicsCorrection& of) {
+      return std::tie(of.width, of.height, of.fx, of.fy, of.cx, of.cy) ==
+             std::tie(inner.width, inner.height, inner.fx, inner.fy, inner.cx, inner.cy);
+    });
+    if (known != intrinsics.end()) inner = *known;
+  }
+  return all;
+}
+
 View CameraCorrections::Corrected(View view) const {
   if (const size_t kind = IntrinsicsOf(view, intrinsics); kind < intrinsics.size()) {
     const IntrinsicsCorrection& inner = intrinsics[kind];

@@ -38,6 +38,8 @@ struct CameraCorrections {
 
   // Those that change nothing.
   static CameraCorrections None(const std::vector<View>& training);
+  // Of these training views: those that are known, none of the others.
+  CameraCorrections Of(const std::vector<View>& training) const;
   // A view of the scene as it is corrected: its pose where it is a training view, its intrinsics where training views
   // have the same.
   View Corrected(View view) const;

@@ -13,6 +13,7 @@
 #include "model/schedule.h"
 #include "model/view_colours.h"
 #include "pipeline/error.h"
+#include "pipeline/files.h"
 #include "pipeline/log.h"
 #include "render/kernels/colour_correction.h"
 
@@ -98,10 +99,36 @@ void Trainer::StartCorrections() {
   }
 }
 
+void Trainer::Extend(const std::filesystem::path& checkpoint_dir, const BaseTraining& base,
+                     const std::vector<std::string>& views) {
+  LoadBase(checkpoint_dir, state_);
+  progress_from_ = SettledProgress(preset_.train);
+  if (preset_.field.corrected_views > 0 && !base.corrections.empty()) {
+    if (base.corrections.size() != views.size() * size_t{kCorrectionParameters}) {
+      throw CorruptError(EscapePath(checkpoint_dir) + " has corrections of other views than it names");
+    }
+    const c10::NoGradGuard no_grad;
+    auto* correction = state_.field.colour_corrections().mutable_data_ptr<float>();
+    for (const View& view : pixels_.views()) {
+      const auto before = std::find(views.begin(), views.end(), view.id);
+      if (before != views.end()) {
+        const float* values = base.corrections.data() + (before - views.begin()) * kCorrectionParameters;
+        std::copy_n(values, size_t{kCorrectionParameters}, correction);
+      }
+      correction += kCorrectionParameters;
+    }
+  }
+  if (!state_.cameras.poses.empty()) state_.cameras = state_.cameras.Of(training_views_);
+  StateChanged();
+  UpdateOccupancy(/*all_cells=*/true);  // also what added views are the first to see
+}
+
 double Trainer::Progress() const {
   return options_.budget_seconds > 0 ? state_.seconds / options_.budget_seconds
                                      : double(state_.step) / double(preset_.train.steps);
 }
+
+double Trainer::ScheduleProgress() const { return progress_from_ + (1 - progress_from_) * Progress(); }
 
 bool Trainer::Done() const {
   if (options_.budget_seconds <= 0) return Progress() >= 1;
@@ -113,7 +140,7 @@ RenderOptions Trainer::EvaluationOptions() const {
   options.step = MarchingStep(preset_.train, state_.step_stage, state_.map);
   options.near = scene_.near;
   options.far = scene_.far;
-  options.weight_threshold = WeightThreshold(preset_.train, Progress());
+  options.weight_threshold = WeightThreshold(preset_.train, ScheduleProgress());
   options.stop_transmittance = options.weight_threshold;
   options.background = background_;
   return options;
@@ -255,7 +282,7 @@ void Trainer::FollowSchedule(double progress) {
 void Trainer::Step() {
   const auto start = std::chrono::steady_clock::now();
   const TrainConfig& config = preset_.train;
-  const double progress = Progress();
+  const double progress = ScheduleProgress();
   FollowSchedule(progress);
   RenderOptions options = EvaluationOptions();
   options.jitter = {options_.seed, uint64_t(state_.step)};
@@ -291,7 +318,7 @@ void Trainer::StepOnCpu(double progress, const RenderOptions& options, const Los
   const std::string not_finite = NotFinite(result);
   if (not_finite.empty()) {
     Optimise(progress);
-    if (AveragesAt(progress)) state_.AddToAverage();
+    if (AveragesNow()) state_.AddToAverage();
   }
   Account({result, state_.step, state_.n_rays, not_finite});
 }
@@ -302,7 +329,7 @@ void Trainer::StepOnGpu(double progress, const RenderOptions& options, const Los
   const GpuTraining::Batch batch{state_.n_rays, weights.depth > 0 ? preset_.train.depth_rays : 0, options_.seed,
                                  uint64_t(state_.step)};
   const auto found = gpu_->Step(batch, state_.map, options, weights, preset_.train, Rates(progress));
-  if (AveragesAt(progress)) gpu_->AddToAverage(++state_.n_averaged);
+  if (AveragesNow()) gpu_->AddToAverage(++state_.n_averaged);
   if (found) Account(*found);
 }
 
@@ -348,8 +375,8 @@ void Trainer::Account(const Found& found) {
   state_.samples += found.result.n_samples;
 }
 
-bool Trainer::AveragesAt(double progress) const {
-  return progress >= preset_.train.average_from && state_.step % preset_.train.average_interval == 0;
+bool Trainer::AveragesNow() const {
+  return Progress() >= preset_.train.average_from && state_.step % preset_.train.average_interval == 0;
 }
 
 void Trainer::Sync() {

@@ -6,10 +6,12 @@
 #pragma once
 
 #include <cstdint>
+#include <filesystem>
 #include <memory>
 #include <string>
 #include <vector>
 
+#include "model/base_training.h"
 #include "model/config.h"
 #include "model/cuda/gpu_training.h"
 #include "model/depth_batch.h"
@@ -37,7 +39,13 @@ class Trainer {
   Trainer(const Scene& scene, const ImagePack& pack, const std::vector<SparseDepth>& depths, const Preset& preset,
           const TrainOptions& options);
 
-  // 0 to 1.
+  // Goes on from another training, of fewer of the views; before the first step, and never with another scene's frame.
+  // `views`: ids of its training views, in the order of its corrections; views that it had no correction of start with
+  // their gain. The schedule begins where all its changes are behind (SettledProgress).
+  void Extend(const std::filesystem::path& checkpoint_dir, const BaseTraining& base,
+              const std::vector<std::string>& views);
+
+  // Of this training, 0 to 1.
   double Progress() const;
   // With a budget: when another step would end farther from it than this one did. There is one step at least.
   bool Done() const;
@@ -84,6 +92,7 @@ class Trainer {
   };
   // Of the views' colours: from the gains that the scene gives.
   void StartCorrections();
+  double ScheduleProgress() const;
   void FollowSchedule(double progress);
   void ResetAdam();
   void Settle();    // accounts for all steps that were queued
@@ -92,7 +101,7 @@ class Trainer {
   void StepOnGpu(double progress, const RenderOptions& options, const LossWeights& weights);
   void Account(const GpuTraining::Found& found);
   void Account(const Found& found);
-  bool AveragesAt(double progress) const;
+  bool AveragesNow() const;
   void UpdateOccupancy(bool all_cells);
   // The training views' as the state has them corrected.
   void MoveCameras();
@@ -119,8 +128,9 @@ class Trainer {
   DepthSource depths_;
   double background_;
   TrainState state_;
-  double step_seconds_ = 0;  // of the last step
-  TrainingStep step_;        // of state_.field
+  double progress_from_ = 0;  // where the schedule begins: Extend
+  double step_seconds_ = 0;   // of the last step
+  TrainingStep step_;         // of state_.field
   std::unique_ptr<GpuTraining> gpu_;
 };
 

@@ -12,6 +12,7 @@ namespace nrff {
 
 struct TrainingRequest {
   std::filesystem::path scene_dir, out;
+  std::filesystem::path base;   // an artifact of a training on fewer of the views, to go on from; empty: none
   std::string preset = "auto";  // kAutoPreset or a preset's name
   std::string settings;         // changes of the preset: ApplySettings
   std::string directional;      // of kDirectionalEncodings; empty: the preset's
@@ -30,6 +31,10 @@ struct TrainingRequest {
 // devices that there are for neither kind of scene, as RunTraining would later.
 Json DescribeTraining(const TrainingRequest& request);
 
+// With a base training goes on from its checkpoint where that is of the same field in the same frame, for a share of
+// the steps or the budget (needs::TrainingShare), with its preset where none is asked for. Fact "extended":
+// {"steps_before", "n_views_added", "share"}, or null.
+//
 // `params`: what of the request was given by the caller (manifest.params).
 void RunTraining(const TrainingRequest& request, const Params& params);
 

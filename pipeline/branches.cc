@@ -286,6 +286,19 @@ Json ProbeCapture(Executor& executor, const BranchRequest& request) {
   return Probe(executor, {(request.executables / "nrff-ingest").string(), request.capture.string()});
 }
 
+Json ProbeExtension(Executor& executor, const BranchRequest& request) {
+  Json extension = {{"extension", nullptr}, {"why_anew", nullptr}};
+  if (request.from == StageNames().front() || ExtendableStages(request.workspace).empty()) return extension;
+  const std::string ingest = request.workspace.Artifact("ingest").string();
+  const std::optional<Manifest> made = ReadManifest(ingest);
+  if (!made || made->inputs.empty() || made->facts.value("n_videos", 0) > 0) return extension;  // never extended
+  if (made->inputs.front().hash == HashTree(request.capture)) return extension;
+  const Json facts =
+      Probe(executor, {(request.executables / "nrff-ingest").string(), request.capture.string(), "--base", ingest});
+  for (auto& [key, value] : extension.items()) value = facts.value(key, Json());
+  return extension;
+}
+
 Json ProbeTraining(Executor& executor, const BranchRequest& request) {
   return Probe(executor, TrainingOptions(request));
 }

@@ -47,6 +47,11 @@ Json JsonFrom(Executor& executor, std::vector<std::string> command);
 // own sentence and exit code.
 Json ProbeCapture(Executor& executor, const BranchRequest& request);
 
+// Whether photos were added to the capture since the workspace's stages were made, and nothing else changed that they
+// depend on: {"extension": {"n_earlier", "n_added"} or null, "why_anew": why it is null, or null}, both null where the
+// capture is as it was, or everything is asked to run again. Nothing is written. Throws as ProbeCapture.
+Json ProbeExtension(Executor& executor, const BranchRequest& request);
+
 // What the options mean to the training program, which is the one that knows presets, settings and devices (nrff-train
 // --probe): {"preset", "device", "steps", "budget_seconds", "decisions", …}. Throws Error with that program's own
 // sentence and exit code.

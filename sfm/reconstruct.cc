@@ -56,23 +56,36 @@ std::string Number(double value) { return Json(value).dump(); }
 class Reconstruction {
  public:
   Reconstruction(const Capture& capture, const SfmSettings& settings, Colmap& colmap, fs::path dir,
-                 const ArtifactWriter& artifact)
-      : capture_(capture), settings_(settings), colmap_(colmap), dir_(std::move(dir)), artifact_(artifact) {}
+                 const ArtifactWriter& artifact, const EarlierMapping* earlier)
+      : capture_(capture),
+        settings_(settings),
+        colmap_(colmap),
+        dir_(std::move(dir)),
+        artifact_(artifact),
+        earlier_(earlier) {}
 
   Attempt Run() {
     Attempt attempt;
     fs::create_directories(dir_);
     WriteWorkingPhotos(capture_, settings_.max_image_size, settings_.n_threads, photos_);
     artifact_.SaveSeconds();
+    if (earlier_ != nullptr) TakeOverDatabase();
     ExtractEnoughFeatures(attempt);
     artifact_.SaveSeconds();
     const ImagePairs pairs = ChoosePairs();
     MatchPairs(pairs, attempt);
     artifact_.SaveSeconds();
-    attempt.models = Map("models", attempt);
-    artifact_.SaveSeconds();
-    JoinPieces(pairs, attempt);
+    if (earlier_ != nullptr) {
+      attempt.grown = Grow(attempt);
+      artifact_.SaveSeconds();
+    }
+    if (!attempt.grown || attempt.grown->images.size() < capture_.images.size() || !earlier_->holds(*attempt.grown)) {
+      attempt.models = Map("models", attempt);
+      artifact_.SaveSeconds();
+      JoinPieces(pairs, attempt);
+    }
     attempt.settings = settings_;
+    attempt.database_file = database_;
     return attempt;
   }
 
@@ -81,6 +94,14 @@ class Reconstruction {
     return {{"random_seed", std::to_string(settings_.seed)}, {"database_path", database_.native()}};
   }
   std::string Threads() const { return std::to_string(settings_.n_threads); }
+
+  void TakeOverDatabase() {
+    if (fs::exists(database_)) return;
+    fs::path copy = database_;
+    copy += ".partial";
+    fs::copy_file(earlier_->database, copy, fs::copy_options::overwrite_existing);
+    fs::rename(copy, database_);
+  }
 
   // Photos of a camera group that still have no features.
   std::map<int, std::vector<const CaptureImage*>> PendingGroups(const ColmapDatabase& database) const {
@@ -98,7 +119,7 @@ class Reconstruction {
   // Photos of smooth things: fainter features are taken, too.
   void ExtractEnoughFeatures(Attempt& attempt) {
     ExtractFeatures(attempt);
-    if (settings_.peak_threshold > 0 || MedianFeatures() >= kFewFeatures) return;
+    if (earlier_ != nullptr || settings_.peak_threshold > 0 || MedianFeatures() >= kFewFeatures) return;
     settings_.peak_threshold = kFaint;
     database_ = dir_ / "faint.db";
     ExtractFeatures(attempt);
@@ -222,16 +243,39 @@ class Reconstruction {
   }
 
   ImagePairs ChoosePairs() {
+    ImagePairs pairs = ChooseAmongAll();
+    if (earlier_ == nullptr) return pairs;
+    std::erase_if(pairs, [&](const ImagePair& pair) { return IsEarlier(pair.first) && IsEarlier(pair.second); });
+    return pairs;
+  }
+
+  bool IsEarlier(int i) const { return earlier_->photos.contains(WorkingPhotoName(capture_.images[size_t(i)])); }
+
+  ImagePairs ChooseAmongAll() {
     const std::vector<uint32_t> ids = ImageIds(ReadColmapDatabase(database_));
     const int n_images = int(ids.size());
     if (settings_.exhaustive) return AllPairs(n_images);
     similarity_ = PhotoSimilarities(ids.size(), [&](size_t i) { return ReadFeatureDescriptors(database_, ids[i]); });
     ImagePairs pairs = MostSimilarPairs(similarity_, settings_.n_neighbours);
-    if (capture_.ordered) pairs = Union(pairs, SequentialPairs(n_images, settings_.n_next));
+    if (capture_.ordered) pairs = Union(pairs, NextPairs());
     if (settings_.n_nearest > 0) {
       const Eigen::MatrixXf nearness = Nearness(LocalPositions(GpsPositions(capture_)));
       pairs = Union(pairs, MostSimilarPairs(nearness, settings_.n_nearest));
     }
+    return pairs;
+  }
+
+  // In the order of taking, which is not that of the ids where photos were added.
+  ImagePairs NextPairs() const {
+    std::vector<fs::path> paths;
+    for (const CaptureImage& photo : capture_.images) paths.push_back(photo.path);
+    const std::vector<size_t> order = OrderByPath(paths);
+    ImagePairs pairs;
+    for (const auto& [a, b] : SequentialPairs(int(order.size()), settings_.n_next)) {
+      const auto [first, second] = std::minmax(order[size_t(a)], order[size_t(b)]);
+      pairs.emplace_back(int(first), int(second));
+    }
+    std::sort(pairs.begin(), pairs.end());
     return pairs;
   }
 
@@ -260,6 +304,22 @@ class Reconstruction {
     artifact_.SaveSeconds();
   }
 
+  // Nothing where COLMAP does not bring the model back.
+  std::optional<ColmapModel> Grow(Attempt& attempt) {
+    const auto start = Clock::now();
+    const fs::path folder = dir_ / "grown", finished = dir_ / "grown.finished";
+    if (!fs::exists(finished)) {
+      fs::remove_all(folder);
+      fs::create_directories(folder);
+      RunMapper(folder, earlier_->model);
+      WriteFileAtomically(finished, "");
+    }
+    attempt.seconds_mapping += SecondsSince(start);
+    // Of a model that it was given, COLMAP writes what it became into the folder itself.
+    if (!fs::exists(folder / "images.bin")) return {};
+    return ReadColmapModel(folder);
+  }
+
   std::vector<ColmapModel> Map(const std::string& name, Attempt& attempt) {
     const auto start = Clock::now();
     const fs::path folder = dir_ / name, finished = dir_ / (name + ".finished");
@@ -278,8 +338,10 @@ class Reconstruction {
     return models;
   }
 
-  void RunMapper(const fs::path& models) {
+  // `grown`: the model to start from; empty: none.
+  void RunMapper(const fs::path& models, const fs::path& grown = {}) {
     Colmap::Options options = Common();
+    if (!grown.empty()) options.emplace_back("input_path", grown.native());
     options.insert(options.end(), {{"image_path", photos_.native()},
                                    {"output_path", models.native()},
                                    {"Mapper.num_threads", Threads()},
@@ -312,6 +374,7 @@ class Reconstruction {
   Colmap& colmap_;
   const fs::path dir_;
   const ArtifactWriter& artifact_;
+  const EarlierMapping* earlier_;  // may be null
   fs::path database_ = dir_ / "database.db";
   const fs::path photos_ = dir_ / "photos";
   Eigen::MatrixXf similarity_;  // of the photos; with chosen pairs alone
@@ -326,9 +389,31 @@ const ColmapModel* LargestModel(const std::vector<ColmapModel>& models) {
   return largest == models.end() ? nullptr : &*largest;
 }
 
+Json ToJson(const SfmSettings& settings) {
+  return {{"name", settings.name},
+          {"max_image_size", settings.max_image_size},
+          {"max_features", settings.max_features},
+          {"first_octave", settings.first_octave},
+          {"peak_threshold", settings.peak_threshold},
+          {"n_neighbours", settings.n_neighbours},
+          {"tolerant_mapping", settings.tolerant_mapping}};
+}
+
+SfmSettings SfmSettingsFromJson(const Json& json, const std::string& where) {
+  SfmSettings settings;
+  settings.name = Get<std::string>(json, "name", where);
+  settings.max_image_size = Get<int>(json, "max_image_size", where);
+  settings.max_features = Get<int>(json, "max_features", where);
+  settings.first_octave = Get<int>(json, "first_octave", where);
+  settings.peak_threshold = Get<double>(json, "peak_threshold", where);
+  settings.n_neighbours = Get<int>(json, "n_neighbours", where);
+  settings.tolerant_mapping = Get<bool>(json, "tolerant_mapping", where);
+  return settings;
+}
+
 Attempt Reconstruct(const Capture& capture, const SfmSettings& settings, Colmap& colmap, const fs::path& dir,
-                    const ArtifactWriter& artifact) {
-  return Reconstruction(capture, settings, colmap, dir, artifact).Run();
+                    const ArtifactWriter& artifact, const EarlierMapping* earlier) {
+  return Reconstruction(capture, settings, colmap, dir, artifact, earlier).Run();
 }
 
 }  // namespace nrff

@@ -213,6 +213,20 @@ TEST_F(CameraCorrectionsTest, ASimilarityOfTheWorldIsNoCorrection) {
   EXPECT_NEAR(one[0].shift[0], 0, 1e-6);
 }
 
+TEST_F(CameraCorrectionsTest, ViewsThatAreAddedHaveNone) {
+  CameraCorrections known = errors_;
+  known.intrinsics[0].log_focal = 0.01;
+  std::vector<View> more(true_.rbegin(), true_.rend());
+  more.push_back(true_[0]);
+  more.back().id = "added";
+  const CameraCorrections all = known.Of(more);
+  EXPECT_EQ(all.poses.size(), 9u);
+  EXPECT_EQ(all.Corrected(true_[2]).scene_from_camera, known.Corrected(true_[2]).scene_from_camera);
+  EXPECT_EQ(all.Corrected(more.back()).scene_from_camera, more.back().scene_from_camera);
+  EXPECT_EQ(all.Corrected(more.back()).fx, known.Corrected(true_[0]).fx);
+  EXPECT_EQ(all.poses[0].view, true_[7].id);
+}
+
 TEST_F(CameraCorrectionsTest, JsonHoldsThemAndRefusesWhatIsNotFinite) {
   CameraCorrections errors = errors_;
   errors.intrinsics[0].log_focal = 0.01;

@@ -9,10 +9,12 @@
 #include <cstdlib>
 #include <numeric>
 
+#include "pipeline/extension.h"
 #include "pipeline/process.h"
 #include "sfm/colmap_database.h"
 #include "sfm/image_pairs.h"
 #include "sfm/ingest.h"
+#include "sfm/merged_model.h"
 #include "sfm/working_photos.h"
 #include "tests/pose_fixture.h"
 #include "tests/temporary_directory.h"
@@ -44,14 +46,15 @@ case $command in
   mapper)
     models="$FAKE"/models
     [ "$(basename "$output")" = joined ] && models="$FAKE"/joined
+    [ "$(basename "$output")" = grown ] && models="$FAKE"/grown
     cp -r "$models"/. "$output"; echo "Registering image #1 (3)"
     ;;
 esac
 )sh";
 
 constexpr char kHelp38[] =
-    "--database_path arg\n--image_path arg\n--output_path arg\n--image_list_path arg\n--match_list_path "
-    "arg\n--random_seed arg\n"
+    "--database_path arg\n--image_path arg\n--input_path arg\n--output_path arg\n--image_list_path arg\n"
+    "--match_list_path arg\n--random_seed arg\n"
     "--SiftExtraction.use_gpu arg\n--SiftExtraction.peak_threshold arg\n--SiftMatching.use_gpu "
     "arg\n--Mapper.min_model_size arg\n";
 constexpr char kHelp313[] =
@@ -253,6 +256,118 @@ TEST_F(EstimateOfPieces, ThatDoNotMatchAreNotMappedAgain) {
   EXPECT_EQ(manifest.facts.at("n_registered"), 13);
   EXPECT_EQ(manifest.facts.at("n_models"), 2);
   EXPECT_EQ(NumMapperCalls(), manifest.facts.at("attempts").size());
+}
+
+// Six photos, and then two more; the fake mapper gives fake_/grown for what it is to grow.
+class EstimateExtended : public Estimate {
+ protected:
+  void SetUp() override {
+    Estimate::SetUp();
+    const Capture all = capture_;
+    capture_.images.resize(6);
+    SaveCapture(capture_, ingest_);
+    MakeDatabase(100);
+    AddModel(0, {0, 1, 2, 3, 4, 5});
+    earlier_ = Run();
+    fs::rename(sfm_, base_);
+    fs::remove(fake_ / "calls");
+    capture_ = all;
+    SaveCapture(capture_, ingest_);
+    MakeDatabase(100);
+    options_.base = base_;
+  }
+
+  // The earlier cameras and points as they were, moved by a similarity, and the two added ones.
+  ColmapModel Grown(const Eigen::Matrix4d& moved, int n_photos = 8) const {
+    std::vector<std::string> names;
+    for (int i = 0; i < n_photos; ++i) names.push_back(WorkingPhotoName(capture_.images[size_t(i)]));
+    ColmapModel grown = MakeModel(names, 32, 24, -0.05);
+    const ColmapModel before = ReadColmapModel(base_ / kMappingDir / "model");
+    for (const auto& [id, image] : before.images) grown.images.at(id) = image;
+    return Transformed(grown, moved);
+  }
+  void GrowTo(const ColmapModel& grown) {
+    fs::remove_all(fake_ / "grown");
+    fs::create_directories(fake_ / "grown");
+    WriteColmapBinary(grown, fake_ / "grown");
+  }
+  static Eigen::Matrix4d Moved() {
+    Eigen::Matrix4d moved = Eigen::Matrix4d::Identity();
+    moved.topLeftCorner<3, 3>() = 3 * Eigen::AngleAxisd(0.7, Eigen::Vector3d(1, 2, 3).normalized()).toRotationMatrix();
+    moved.topRightCorner<3, 1>() << 5, -2, 1;
+    return moved;
+  }
+
+  const fs::path base_ = dir_.path() / "base";
+  Manifest earlier_;
+  EstimateOptions options_;
+};
+
+TEST_F(EstimateExtended, TheModelGrowsAndStaysInItsWorld) {
+  GrowTo(Grown(Moved()));
+  const Manifest manifest = Run(options_);
+  const Json extension = ReadJson(sfm_ / kExtensionFile);
+  EXPECT_EQ(extension.at("frame_kept"), true);
+  EXPECT_EQ(extension.at("n_added_placed"), 2);
+  EXPECT_EQ(extension.at("mapped_anew"), false);
+  EXPECT_LT(extension.at("largest_shift_px"), 1e-4);
+  const ColmapModel before = ReadColmapModel(base_ / "sparse"), after = ReadColmapModel(sfm_ / "sparse");
+  ASSERT_EQ(after.images.size(), 8u);
+  for (const auto& [id, image] : before.images) {
+    EXPECT_LT((after.images.at(id).Center() - image.Center()).norm(), 1e-5);
+    EXPECT_LT(after.images.at(id).rotation.angularDistance(image.rotation), 1e-5);
+  }
+  for (const auto& [id, point] : before.points) EXPECT_LT((after.points.at(id).position - point.position).norm(), 1e-5);
+  EXPECT_EQ(manifest.facts.at("n_registered"), 8);
+  EXPECT_EQ(manifest.decisions.back().feature, "poses_anew");
+  EXPECT_FALSE(manifest.decisions.back().needed);
+  // The one mapping there was: of the model kept, and pairs with an added photo alone.
+  EXPECT_THAT(Calls(), HasSubstr("--input_path " + (base_ / kMappingDir / "model").string()));
+  EXPECT_EQ(manifest.facts.at("attempts").at(0).at("n_pairs"), 8 * 7 / 2 - 6 * 5 / 2);
+  EXPECT_EQ(manifest.facts.at("attempts").size(), 1u);
+}
+
+TEST_F(EstimateExtended, PhotosThatDoNotGrowOnAreMappedFromScratch) {
+  GrowTo(Grown(Eigen::Matrix4d::Identity(), 7));
+  AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
+  const Manifest manifest = Run(options_);
+  EXPECT_EQ(manifest.facts.at("n_registered"), 8);
+  EXPECT_EQ(manifest.facts.at("extension").at("mapped_anew"), true);
+  EXPECT_TRUE(manifest.decisions.back().needed);
+}
+
+TEST_F(EstimateExtended, AGrownModelThatHasMoreThanOneFromScratchStays) {
+  GrowTo(Grown(Eigen::Matrix4d::Identity(), 7));
+  AddModel(0, {0, 1, 2, 3, 4, 5});
+  const Manifest manifest = Run(options_);
+  EXPECT_EQ(manifest.facts.at("n_registered"), 7);
+  EXPECT_EQ(manifest.facts.at("extension").at("mapped_anew"), false);
+}
+
+TEST_F(EstimateExtended, AModelThatBentIsNotInTheEarlierWorld) {
+  ColmapModel bent = Grown(Eigen::Matrix4d::Identity());
+  for (auto& [id, image] : bent.images) {
+    const double angle = 0.1 * double(id % 3);  // 32 px wide: 2 px and more
+    const Eigen::Quaterniond turned(Eigen::AngleAxisd(angle, Eigen::Vector3d::UnitY()));
+    image.rotation = turned * image.rotation;
+    image.translation = turned * image.translation;
+  }
+  GrowTo(bent);
+  fs::remove_all(fake_ / "models");
+  fs::create_directories(fake_ / "models/0");
+  WriteColmapBinary(bent, fake_ / "models/0");
+  const Manifest manifest = Run(options_);
+  EXPECT_EQ(manifest.facts.at("extension").at("frame_kept"), false);
+  EXPECT_EQ(manifest.facts.at("extension").at("mapped_anew"), true);
+}
+
+TEST_F(EstimateExtended, OtherSettingsOfFeaturesAreNoExtension) {
+  options_.max_features = 999;
+  AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
+  const Manifest manifest = Run(options_);
+  EXPECT_FALSE(manifest.facts.contains("extension"));
+  EXPECT_FALSE(fs::exists(sfm_ / kExtensionFile));
+  EXPECT_THAT(Calls(), Not(HasSubstr("--input_path")));
 }
 
 TEST_F(Estimate, LessThanHalfThePhotosIsAnErrorWithADiagnosis) {
