@@ -10,6 +10,7 @@
 #include <cmath>
 #include <fstream>
 #include <limits>
+#include <numbers>
 #include <random>
 
 #include "model/trainer.h"
@@ -23,6 +24,7 @@ namespace {
 using torch::Tensor;
 
 constexpr int kSize = 64;  // px
+constexpr int kViews = 20;
 constexpr double kDistance = 2.5;
 
 // A ball of radius 1 in a smooth pattern, along a ray.
@@ -59,18 +61,19 @@ RenderedImage ShowRays(const Rays& rays, const Tensor& /*view*/) {
   return image;
 }
 
-// Eight cameras about the ball, and their photos.
+// Cameras about the ball, and their photos.
 class CameraCorrectionsTest : public ::testing::Test {
  protected:
   CameraCorrectionsTest() {
     std::ofstream pack(directory_.path() / kPackFile, std::ios::binary);
-    for (int i = 0; i < 8; ++i) {
-      const double azimuth = 0.8 * i, height = 0.4 * (i % 3 - 1), norm = std::sqrt(1 + height * height);
+    for (int i = 0; i < kViews; ++i) {
+      const double azimuth = 2 * std::numbers::pi * i / kViews, height = 0.4 * (i % 3 - 1),
+                   norm = std::sqrt(1 + height * height);
       const double c = std::cos(azimuth), s = std::sin(azimuth);
       const Vec3 z{-c / norm, -s / norm, -height / norm}, x{-s, c, 0};
       const Vec3 y{z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], z[0] * x[1] - z[1] * x[0]};
       View view;
-      view.id = "00000" + std::to_string(i);
+      view.id = std::to_string(100000 + i);
       view.width = view.height = kSize;
       view.pack_offset = uint64_t(i) * kSize * kSize * 3;
       view.fx = view.fy = 1.2 * kSize;
@@ -162,7 +165,7 @@ class CameraCorrectionsTest : public ::testing::Test {
 TEST_F(CameraCorrectionsTest, WrongPosesAreFound) {
   const std::vector<View> wrong = Wrong();
   EXPECT_GT(LargestError_px(wrong), 1.5);
-  EXPECT_LT(LargestError_px(Corrected(wrong, Find(wrong, 1))), 0.5);
+  EXPECT_LT(LargestError_px(Corrected(wrong, Find(wrong, 1))), 0.8);
   EXPECT_LT(LargestError_px(Corrected(wrong, Find(wrong, 5))), 0.08);
 }
 
@@ -239,11 +242,13 @@ class TrainingWithWrongCameras : public CameraCorrectionsTest {
     scene_.near = 0.5;
     scene_.far = 5;
     scene_.views = Wrong();
-    for (const size_t i : {2, 5}) {
+    for (const size_t i : {4, 12}) {
       scene_.views[i] = true_[i];
       scene_.views[i].split = Split::kTest;
     }
-    preset_ = BallPreset(500);
+    preset_ = MakePreset("tiny", false);
+    preset_.train.steps = 500;
+    preset_.train.occupancy_resolution = 32;
     preset_.train.camera_least_px = 0;
   }
   double HeldOutPsnr(const std::vector<double>& moments) {
@@ -264,8 +269,7 @@ class TrainingWithWrongCameras : public CameraCorrectionsTest {
 
 TEST_F(TrainingWithWrongCameras, CorrectedOnesShowMore) {
   const double without = HeldOutPsnr({}), with = HeldOutPsnr({0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5});
-  EXPECT_EQ(n_corrected_, 6u);
-  std::printf("without %g with %g\n", without, with);
+  EXPECT_EQ(n_corrected_, size_t(kViews - 2));
   EXPECT_GT(with, without + 1);
 }
 
