@@ -29,8 +29,9 @@ constexpr double kLogFocalDeviation = 0.005, kPrincipalDeviation_px = 2;
 constexpr double kMostStep_px = 2;     // a picture's motion in one step: derivatives hold for about a pixel
 constexpr double kHuber = 1.345;       // of the residuals' deviation: 95 % efficient where they are normal
 constexpr double kDeviation = 1.4826;  // of the median of absolute normal values
-constexpr double kAlike =
-    10;  // residuals say as much as one: a pixel's three, and those of a model that errs in patches
+// So many residuals say as much as one: a pixel's three, and those of a model that errs in patches.
+constexpr double kAlike = 10;
+constexpr double kSteep = 0.1;    // change of a colour within a pixel from which derivatives are trusted less and less
 constexpr double kEdge = 0.1;     // of the distance, within a pixel
 constexpr double kHalf_px = 0.5;  // of the differences
 constexpr int kKinds = 5;         // the pixel, then to its left, right, above, below
@@ -78,8 +79,11 @@ struct Sighting {
   double depth = 0;                          // along the axis, scene units
 };
 
-// How much the photo changes about a pixel: squared differences of its neighbours' colours.
-double Change(const PixelSource& pixels, const int32_t* pixel) {
+// In derivatives of this squared size, of three colours.
+double Trust(double squared) { return std::pow(1 + squared / (3 * kSteep * kSteep), -2); }
+
+// How much a pixel tells about the camera: much where the photo changes about it, but not where it leaps.
+double Telling(const PixelSource& pixels, const int32_t* pixel) {
   const View& view = pixels.views()[size_t(pixel[0])];
   const uint8_t* photo = pixels.pack().Pixels(view);
   const auto at = [&](int x, int y) {
@@ -88,12 +92,12 @@ double Change(const PixelSource& pixels, const int32_t* pixel) {
     return photo + (size_t(y) * size_t(view.width) + size_t(x)) * size_t(view.channels);
   };
   const int x = pixel[1], y = pixel[2];
-  double sum = 0;
+  double sum = 0;  // squared change of colours within a pixel
   for (int c = 0; c < 3; ++c) {
-    sum += std::pow(double(at(x + 1, y)[c]) - at(x - 1, y)[c], 2);
-    sum += std::pow(double(at(x, y + 1)[c]) - at(x, y - 1)[c], 2);
+    sum += std::pow((double(at(x + 1, y)[c]) - at(x - 1, y)[c]) / (2 * 255), 2);
+    sum += std::pow((double(at(x, y + 1)[c]) - at(x, y - 1)[c]) / (2 * 255), 2);
   }
-  return sum;
+  return sum * Trust(sum);
 }
 
 // Of every kTournament pixels the one that says most about where the camera is.
@@ -103,7 +107,7 @@ Tensor MostTelling(const PixelSource& pixels, const Tensor& drawn) {
   for (int64_t first = 0; first < drawn.size(0); first += kTournament) {
     const int32_t* best = pixel + 3 * first;
     for (int64_t i = first + 1; i < first + kTournament; ++i) {
-      if (Change(pixels, pixel + 3 * i) > Change(pixels, best)) best = pixel + 3 * i;
+      if (Telling(pixels, pixel + 3 * i) > Telling(pixels, best)) best = pixel + 3 * i;
     }
     chosen.insert(chosen.end(), best, best + 3);
   }
@@ -145,13 +149,16 @@ std::vector<std::vector<Sighting>> Look(const PixelSource& pixels, const RenderT
     const auto colour = [&](int kind) {
       return Eigen::Map<const Eigen::Vector3f>(shown.rgb.data() + 3 * (kKinds * i + kind)).cast<double>();
     };
-    // At an edge that hides others, what is seen moves with neither side. Where nothing opaque is, depth is 0.
-    const auto [nearest, farthest] =
-        std::minmax_element(shown.depth.data() + kKinds * i, shown.depth.data() + kKinds * (i + 1));
-    if (!(*nearest > 0) || !(*farthest - *nearest < kEdge * *nearest)) continue;
+    const float* depth = shown.depth.data() + kKinds * i;
+    if (!(depth[0] > 0)) continue;  // nothing opaque
+    // Before other surfaces, what is seen moves with neither; before the background (depth 0) with the object.
+    const bool hides = std::any_of(depth + 1, depth + kKinds, [&](float other) {
+      return other > 0 && std::abs(other - depth[0]) > kEdge * depth[0];
+    });
+    if (hides) continue;
     const double u = pixel[3 * i + 1] + 0.5 - view.cx, v = pixel[3 * i + 2] + 0.5 - view.cy;
     const Eigen::Vector3d through(u / view.fx, v / view.fy, 1);
-    const double z = double(shown.depth[size_t(kKinds * i)]) / through.norm();
+    const double z = double(depth[0]) / through.norm();
     const Eigen::Vector3d point = z * through;
     Sighting sighting;
     sighting.depth = z;
@@ -284,7 +291,8 @@ System Linearise(const std::vector<std::vector<Sighting>>& sightings, const std:
     of.right -= prior.cwiseProduct(Packed(so_far.poses[i]));
     for (const Sighting& sighting : sightings[i]) {
       const double size = sighting.residual.norm() / std::sqrt(3.);
-      const double weight = std::min(1., kHuber * deviation / std::max(size, 1e-12)) / (kAlike * deviation * deviation);
+      const double weight = std::min(1., kHuber * deviation / std::max(size, 1e-12)) *
+                            Trust(sighting.by_place.squaredNorm()) / (kAlike * deviation * deviation);
       const Eigen::Matrix<double, 3, 6> by_pose = sighting.by_place * sighting.motion;
       const Eigen::Matrix3d by_inner = sighting.by_place * sighting.motion_inner;
       of.normal += weight * by_pose.transpose() * by_pose;

@@ -10,6 +10,7 @@
 #include <cmath>
 #include <fstream>
 #include <limits>
+#include <numbers>
 #include <random>
 
 #include "model/trainer.h"
@@ -23,6 +24,7 @@ namespace {
 using torch::Tensor;
 
 constexpr int kSize = 64;  // px
+constexpr int kViews = 20;
 constexpr double kDistance = 2.5;
 
 // A ball of radius 1 in a smooth pattern, along a ray.
@@ -59,18 +61,19 @@ RenderedImage ShowRays(const Rays& rays, const Tensor& /*view*/) {
   return image;
 }
 
-// Eight cameras about the ball, and their photos.
+// Cameras about the ball, and their photos.
 class CameraCorrectionsTest : public ::testing::Test {
  protected:
   CameraCorrectionsTest() {
     std::ofstream pack(directory_.path() / kPackFile, std::ios::binary);
-    for (int i = 0; i < 8; ++i) {
-      const double azimuth = 0.8 * i, height = 0.4 * (i % 3 - 1), norm = std::sqrt(1 + height * height);
+    for (int i = 0; i < kViews; ++i) {
+      const double azimuth = 2 * std::numbers::pi * i / kViews, height = 0.4 * (i % 3 - 1),
+                   norm = std::sqrt(1 + height * height);
       const double c = std::cos(azimuth), s = std::sin(azimuth);
       const Vec3 z{-c / norm, -s / norm, -height / norm}, x{-s, c, 0};
       const Vec3 y{z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], z[0] * x[1] - z[1] * x[0]};
       View view;
-      view.id = "00000" + std::to_string(i);
+      view.id = std::to_string(100000 + i);
       view.width = view.height = kSize;
       view.pack_offset = uint64_t(i) * kSize * kSize * 3;
       view.fx = view.fy = 1.2 * kSize;
@@ -162,7 +165,7 @@ class CameraCorrectionsTest : public ::testing::Test {
 TEST_F(CameraCorrectionsTest, WrongPosesAreFound) {
   const std::vector<View> wrong = Wrong();
   EXPECT_GT(LargestError_px(wrong), 1.5);
-  EXPECT_LT(LargestError_px(Corrected(wrong, Find(wrong, 1))), 0.5);
+  EXPECT_LT(LargestError_px(Corrected(wrong, Find(wrong, 1))), 0.8);
   EXPECT_LT(LargestError_px(Corrected(wrong, Find(wrong, 5))), 0.08);
 }
 
@@ -242,43 +245,53 @@ TEST_F(CameraCorrectionsTest, JsonHoldsThemAndRefusesWhatIsNotFinite) {
   EXPECT_ANY_THROW(broken.get<CameraCorrections>());
 }
 
-// Every other camera turned by about a pixel.
-class TrainTestWithWrongCameras : public TrainTest {
+// Photos of the ball in its pattern, two of them held out, and cameras as wrong as errors_.
+class TrainingWithWrongCameras : public CameraCorrectionsTest {
  protected:
-  TrainTestWithWrongCameras() {
-    CameraCorrections errors = CameraCorrections::None(scene_.views);
-    for (size_t i = 0; i < errors.poses.size(); ++i)
-      errors.poses[i].turn = {i % 2 == 0 ? 0.02 : -0.02, i % 3 == 0 ? 0.02 : -0.01, 0};
-    for (View& view : scene_.views) {
-      if (view.split == Split::kTrain) view = errors.Corrected(view);
+  TrainingWithWrongCameras() : pack_(directory_.path()) {
+    SetThreads(1);
+    scene_.background = Background::kWhite;
+    scene_.aabb_min = {-1.1, -1.1, -1.1};
+    scene_.aabb_max = {1.1, 1.1, 1.1};
+    scene_.near = 0.5;
+    scene_.far = 5;
+    scene_.views = Wrong();
+    for (const size_t i : {4, 12}) {
+      scene_.views[i] = true_[i];
+      scene_.views[i].split = Split::kTest;
     }
+    preset_ = MakePreset("tiny", false);
+    preset_.train.steps = 500;
+    preset_.train.occupancy_resolution = 32;
+    preset_.train.camera_least_px = 0;
   }
-  double Psnr(const std::vector<double>& moments, TrainOptions options, TrainState* state = nullptr) {
-    Preset preset = BallPreset(400);
-    preset.train.camera_moments = moments;
-    preset.train.camera_least_px = 0;
-    Trainer trainer(scene_, pack_, {}, preset, options);
+  double HeldOutPsnr(const std::vector<double>& moments) {
+    preset_.train.camera_moments = moments;
+    Trainer trainer(scene_, pack_, {}, preset_, {.seed = 3});
     while (!trainer.Done()) trainer.Step();
-    trainer.Sync();
-    trainer.state().SwapAverage();
-    if (state) state->cameras = trainer.state().cameras;
-    return HeldOutPsnr(trainer);
+    n_corrected_ = trainer.state().cameras.poses.size();
+    return HeldOutViews(scene_, pack_, 1)
+        .Psnr([&](const View& view, const Rays& rays) { return trainer.RenderMean(view, rays); },
+              [&](const View& view) { return trainer.Corrected(view); });
   }
+
+  ImagePack pack_;
+  Scene scene_;
+  Preset preset_;
+  size_t n_corrected_ = 0;
 };
 
-TEST_F(TrainTestWithWrongCameras, CorrectedOnesShowMore) {
-  TrainState state(BallPreset(1).field, 32, {}, 0);
-  const double without = Psnr({}, {.seed = 3}),
-               with = Psnr({0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5}, {.seed = 3}, &state);
-  EXPECT_GT(with, without + 0.5);
-  EXPECT_EQ(state.cameras.poses.size(), 6u);
+TEST_F(TrainingWithWrongCameras, CorrectedOnesShowMore) {
+  const double without = HeldOutPsnr({}), with = HeldOutPsnr({0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5});
+  EXPECT_EQ(n_corrected_, size_t(kViews - 2));
+  EXPECT_GT(with, without + 1);
 }
 
-TEST_F(TrainTestWithWrongCameras, ThoseThatHardlyMoveStay) {
-  Preset preset = BallPreset(40);
-  preset.train.camera_moments = {0.5, 0.6};
-  preset.train.camera_least_px = 1e6;
-  Trainer trainer(scene_, pack_, {}, preset, {.seed = 3});
+TEST_F(TrainingWithWrongCameras, ThoseThatHardlyMoveStay) {
+  preset_.train.steps = 40;
+  preset_.train.camera_moments = {0.5, 0.6};
+  preset_.train.camera_least_px = 1e6;
+  Trainer trainer(scene_, pack_, {}, preset_, {.seed = 3});
   while (!trainer.Done()) trainer.Step();
   EXPECT_GT(trainer.state().camera_first_px, 0);
   EXPECT_TRUE(trainer.state().cameras.poses.empty());
