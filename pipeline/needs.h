@@ -44,9 +44,25 @@ Decision Contraction(bool box_given, bool has_alpha, std::optional<double> backg
 // photos: ten alike hold 97 % and more of each photo's five best partners (tests/bench/results/first_look.md).
 Decision ExhaustiveMatching(int n_images, bool ordered);
 
-// Pairs of photos taken near each other are matched, too, where all of them say where they were taken, and the places lie
-// further apart (root mean square from their mean) than satellites' errors of some 5 m can make it seem.
+// Pairs of photos taken near each other are matched, too, where all of them say where they were taken, and the places
+// lie further apart (root mean square from their mean) than satellites' errors of some 5 m can make it seem.
 Decision GpsPairs(std::optional<double> spread_m);
+
+// A second attempt at poses, with larger photos and more features, is made where less than 80 % of the photos could be
+// placed; but not where they fell into groups that together take in so many and no pair of photos holds two of these
+// together: such groups show different things, and no second attempt joined any (tests/bench/results/hard_captures.md).
+Decision SecondAttempt(int n_images, int n_registered, int n_groups, int n_in_groups, int n_holding_pairs);
+
+// A camera model with more parameters is taken only where it predicts observations that neither was fitted to better by
+// 3 %: made captures whose lens the simpler one is true of gain less than 1 %, from lenses it is not true of 5 % and
+// more (tests/bench/results/hard_captures.md).
+Decision RicherLens(const std::string& model, double error_px, const std::string& richer, double richer_error_px);
+
+// Photos that may be a fisheye's are mapped as such, too, from the same matches; it is one where no fewer photos are
+// placed and a tenth more observations agree. EXIF cannot tell: 15 mm are a fisheye's 160° as well as a telephone's
+// corrected 110°. Of a made fisheye's observations a simple lens loses a half and more
+// (tests/bench/results/hard_captures.md).
+Decision Fisheye(int n_placed, size_t n_observations, int n_placed_as_fisheye, size_t n_observations_as_fisheye);
 
 // The finest grid resolution that training settles. Few views leave finer cells to be learnt by heart, view by view,
 // unless sparse depths hold the surfaces in place (tests/bench/results/features.md): without depths, fine levels cost

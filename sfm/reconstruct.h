@@ -2,10 +2,14 @@
 //
 // Everything is kept below the attempt's folder and used again by an attempt that goes on from it: photos already
 // scaled, features already extracted, pairs already matched, a reconstruction already finished.
+//
+// Photos of a group (Capture) share a camera. Where nothing better is known of a lens it is a SIMPLE_RADIAL one of the
+// focal length that the photos give.
 #pragma once
 
 #include <cstdint>
 #include <filesystem>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -29,6 +33,8 @@ struct SfmSettings {
   int n_next = 3;                 // and, in a capture in the order of taking, with this many next ones
   int n_nearest = 0;              // and with this many nearest ones by GPS
   bool tolerant_mapping = false;  // place photos by fewer matches and smaller parallax
+  CameraModel camera_model = CameraModel::kSimpleRadial;  // of lenses that are not known
+  std::map<int, ColmapCamera> lenses;                     // known ones, by group; of any size of the photos
   uint64_t seed = 0;
   int n_threads = 1;
 };
@@ -37,6 +43,7 @@ struct Attempt {
   SfmSettings settings;             // as they came to be
   std::vector<ColmapModel> models;  // of the working photos; may be none
   ColmapDatabase database;          // after matching
+  std::filesystem::path database_file;
   size_t n_pairs = 0;
   double seconds_features = 0, seconds_matching = 0, seconds_mapping = 0;
 };
@@ -49,5 +56,10 @@ const ColmapModel* LargestModel(const std::vector<ColmapModel>& models);
 // joined by too few pairs become one.
 Attempt Reconstruct(const Capture& capture, const SfmSettings& settings, Colmap& colmap,
                     const std::filesystem::path& dir, const ArtifactWriter& artifact);
+
+// The attempt `before`, of the folder `dir`, from its matches on with the lenses that its settings now know: verified
+// again, mapped again. Groups without one keep the lens they had. `name`: of its files below `dir`.
+Attempt ReconstructWithLenses(const Capture& capture, const Attempt& before, const std::string& name, Colmap& colmap,
+                              const std::filesystem::path& dir, const ArtifactWriter& artifact);
 
 }  // namespace nrff
