@@ -12,7 +12,7 @@ namespace {
 
 // As mapping with SIMPLE_RADIAL lenses leaves it: observations of `truth`, half a pixel off, and a lens near to it.
 ColmapModel MappedWithSimpleLens(const ColmapCamera& truth, double k, int n_images = 12) {
-  ColmapModel model = Ring(truth, n_images, 900);
+  ColmapModel model = Ring(truth, n_images, 300);
   AddNoise(model, 0.5, 5);
   model.cameras.at(truth.id) = {truth.id,
                                 CameraModel::kSimpleRadial,
