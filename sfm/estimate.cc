@@ -17,7 +17,9 @@
 #include "sfm/colmap_model.h"
 #include "sfm/colmap_runner.h"
 #include "sfm/gps.h"
+#include "sfm/lens_choice.h"
 #include "sfm/merged_model.h"
+#include "sfm/pieces.h"
 #include "sfm/reconstruct.h"
 #include "sfm/sfm_diagnosis.h"
 #include "sfm/source.h"
@@ -31,6 +33,7 @@ namespace fs = std::filesystem;
 // Photos up to which the thorough settings are affordable at once: they have 153 pairs, about half a second each.
 constexpr int kAffordableImages = 18;
 constexpr int kNearest = 5;  // by GPS
+constexpr char kPieceLists[] = "groups";
 
 constexpr char kGivenSettings[] = "given";
 
@@ -72,6 +75,103 @@ const ColmapModel* BestModel(const Attempt& attempt) {
 size_t NumRegistered(const Attempt& attempt) {
   const ColmapModel* best = BestModel(attempt);
   return best ? best->images.size() : 0;
+}
+
+// Of the cameras with that model, by group.
+std::map<int, ColmapCamera> LensesByGroup(const Capture& capture, const ColmapModel& model, CameraModel camera_model) {
+  std::map<std::string, int> group_of;
+  for (const CaptureImage& photo : capture.images) group_of[WorkingPhotoName(photo)] = photo.camera;
+  std::map<int, ColmapCamera> lenses;
+  for (const auto& [id, image] : model.images) {
+    const ColmapCamera& camera = model.cameras.at(image.camera_id);
+    if (const auto group = group_of.find(image.name); group != group_of.end() && camera.model == camera_model)
+      lenses[group->second] = camera;
+  }
+  return lenses;
+}
+
+ColmapModel Refined(const ColmapModel& model, int n_threads) {
+  BundleOptions options;
+  options.n_threads = n_threads;
+  return RefineBundle(model, options).model;
+}
+
+// Of photos that say so little of their lens that it may be a fisheye, by group: what one of that focal length would
+// be, without one a fisheye of 160° between corners. None where no group may be of one: by EXIF it is not wide, or,
+// without, the model found is not.
+std::map<int, ColmapCamera> FisheyeGuesses(const Capture& capture, const Attempt& attempt) {
+  constexpr double kFieldByExif_deg = 90;  // of a pinhole of that focal length: 21.6 mm
+  constexpr double kFieldGuessed_deg = 160;
+  double found_deg = 180;
+  if (const ColmapModel* largest = LargestModel(attempt.models)) {
+    found_deg = 0;
+    for (const auto& [id, camera] : largest->cameras) found_deg = std::max(found_deg, FieldOfView_deg(camera));
+  }
+  std::map<int, ColmapCamera> guesses;
+  for (const CaptureImage& photo : capture.images) {
+    const ImageInfo& info = photo.info;
+    const double half_px = std::hypot(info.width, info.height) / 2;
+    const bool wide = info.focal_px ? 2 * std::atan(half_px / *info.focal_px) * 180 / M_PI >= kFieldByExif_deg
+                                    : found_deg >= kWide_deg;
+    if (!wide || guesses.contains(photo.camera)) continue;
+    const double focal_px = info.focal_px.value_or(half_px / (kFieldGuessed_deg / 2 * M_PI / 180));
+    guesses[photo.camera] = {0,
+                             CameraModel::kOpenCVFisheye,
+                             info.width,
+                             info.height,
+                             {focal_px, focal_px, info.width / 2.0, info.height / 2.0, 0, 0, 0, 0}};
+  }
+  return guesses;
+}
+
+size_t NumObservations(const Attempt& attempt) {
+  size_t n = 0;
+  if (const ColmapModel* largest = LargestModel(attempt.models)) {
+    for (const auto& [id, point] : largest->points) n += point.track.size();
+  }
+  return n;
+}
+
+// From the same matches as a fisheye's photos, where they may and do show themselves to be that.
+std::optional<Attempt> AsFisheye(const Capture& capture, Attempt attempt, Colmap& colmap, const fs::path& dir,
+                                 ArtifactWriter& artifact) {
+  const int n_placed = int(NumRegistered(attempt));
+  const size_t n_observations = NumObservations(attempt);
+  attempt.settings.lenses = FisheyeGuesses(capture, attempt);
+  if (attempt.settings.lenses.empty()) return {};
+  attempt.settings.name += ", as fisheyes";
+  Attempt fisheye = ReconstructWithLenses(capture, attempt, "fisheye", colmap, dir, artifact);
+  const Decision decision =
+      needs::Fisheye(n_placed, n_observations, int(NumRegistered(fisheye)), NumObservations(fisheye));
+  artifact.AddDecision(decision);
+  LogInfo(decision.evidence + ": " + decision.reason);
+  if (!decision.needed) return {};
+  for (auto& [group, lens] : LensesByGroup(capture, *LargestModel(fisheye.models), CameraModel::kOpenCVFisheye))
+    fisheye.settings.lenses[group] = lens;
+  return fisheye;
+}
+
+// The attempt with its largest model refined with richer lenses, and, where they are wide, made again with these: what
+// mapping with simple ones left out lies at the corners, and of wide ones that is much.
+Attempt WithRicherLenses(const Capture& capture, Attempt attempt, const LensChoice& choice, Colmap& colmap,
+                         const fs::path& dir, const ArtifactWriter& artifact) {
+  ColmapModel& largest = attempt.models[size_t(LargestModel(attempt.models) - attempt.models.data())];
+  largest = Refined(WithLenses(largest, choice.chosen), attempt.settings.n_threads);
+  attempt.settings.lenses = LensesByGroup(capture, largest, choice.chosen);
+  attempt.settings.name += ", richer lenses";
+  attempt.seconds_features = attempt.seconds_matching = attempt.seconds_mapping = 0;
+  const bool wide = std::any_of(attempt.settings.lenses.begin(), attempt.settings.lenses.end(),
+                                [](const auto& lens) { return FieldOfView_deg(lens.second) >= kWide_deg; });
+  if (!wide) return attempt;
+  Attempt again = ReconstructWithLenses(capture, attempt, "lenses", colmap, dir, artifact);
+  return NumRegistered(again) >= NumRegistered(attempt) ? again : attempt;
+}
+
+Json LensTrials(const LensChoice& choice) {
+  Json trials = Json::array();
+  for (const LensTrial& trial : choice.trials)
+    trials.push_back({{"camera_model", CameraModelName(trial.model)}, {"error_px", trial.error_px}});
+  return trials;
 }
 
 Json AttemptFacts(const Attempt& attempt) {
@@ -139,6 +239,14 @@ void RecordFacts(const std::vector<Attempt>& attempts, const Attempt& best, cons
   facts["unregistered"] = unregistered;
   facts["n_points"] = model.points.size();
   facts["reprojection_error_px"] = reprojection_error_px;
+  double widest_deg = 0;
+  std::set<std::string> camera_models;
+  for (const auto& [id, camera] : model.cameras) {
+    widest_deg = std::max(widest_deg, FieldOfView_deg(camera));
+    camera_models.insert(CameraModelName(camera.model));
+  }
+  facts["camera_models"] = camera_models;
+  facts["field_of_view_deg"] = widest_deg;
   facts["matching"] = best.settings.exhaustive ? "exhaustive" : "selective";
   facts["models"] = Json::array();
   const auto add_model = [&](const ColmapModel& m) {
@@ -310,6 +418,11 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
   const fs::path work = artifact.dir() / "work";
   std::vector<Attempt> attempts;
   size_t best = 0;
+  const auto take = [&](Attempt attempt) {
+    attempts.push_back(std::move(attempt));
+    if (NumRegistered(attempts.back()) > NumRegistered(attempts[best])) best = attempts.size() - 1;
+    LogInfo(std::to_string(NumRegistered(attempts.back())) + " of " + std::to_string(n_images) + " photos registered");
+  };
   const bool given = options.max_image_size || options.max_features;
   const auto adapt = [&](SfmSettings& settings) {
     settings.exhaustive = matching.needed;
@@ -325,8 +438,10 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
     LogInfo(std::to_string(NumRegistered(attempts.back())) + " of " + std::to_string(n_images) +
             " photos registered, " + std::to_string(base->model.images.size()) + " of them were");
   }
-  const bool extended = base && double(NumRegistered(attempts.back())) >= kEnough * n_images;
+  const bool extended = base && double(NumRegistered(attempts.back())) >= needs::kEnoughPlaced * n_images;
   if (base && !extended) LogWarning("too few: estimating all poses anew");
+  Pieces pieces;      // of the best attempt
+  LensChoice lenses;  // of the first that there is enough to judge by
   for (const int level : {given ? 0 : first_level, first_level + 1}) {
     if (extended) break;
     SfmSettings settings = Settings(level);
@@ -336,25 +451,66 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
       settings.max_image_size = options.max_image_size.value_or(settings.max_image_size);
       settings.max_features = options.max_features.value_or(settings.max_features);
     }
-    attempts.push_back(Reconstruct(capture, settings, colmap, work / settings.name, artifact));
-    if (NumRegistered(attempts.back()) > NumRegistered(attempts[best])) best = attempts.size() - 1;
-    const size_t n_registered = NumRegistered(attempts[best]);
-    LogInfo(std::to_string(n_registered) + " of " + std::to_string(n_images) + " photos registered");
-    if (given || double(n_registered) >= kEnough * n_images) break;
-    if (level == first_level) LogWarning("too few: trying again with larger photos and more features");
+    if (options.camera_model) settings.camera_model = *options.camera_model;
+    if (!attempts.empty()) settings.lenses = attempts[best].settings.lenses;
+    const fs::path dir = work / settings.name;
+    take(Reconstruct(capture, settings, colmap, dir, artifact));
+    if (!options.camera_model && settings.lenses.empty()) {
+      // Of as many photos the attempt is the better one whose lenses are true.
+      const auto take_lenses = [&](Attempt attempt) {
+        take(std::move(attempt));
+        if (NumRegistered(attempts.back()) == NumRegistered(attempts[best])) best = attempts.size() - 1;
+      };
+      if (auto fisheye = AsFisheye(capture, attempts.back(), colmap, dir, artifact)) {
+        take_lenses(std::move(*fisheye));
+      } else if (const ColmapModel* largest = LargestModel(attempts.back().models); largest && lenses.trials.empty()) {
+        lenses = ChooseLens(*largest, options.n_threads);
+        if (lenses.chosen != CameraModel::kSimpleRadial) {
+          LogInfo("lenses of the model " + std::string(CameraModelName(lenses.chosen)) + ": " +
+                  lenses.decision->evidence);
+          take_lenses(WithRicherLenses(capture, attempts.back(), lenses, colmap, dir, artifact));
+        }
+      }
+    }
+    pieces = FindPieces(capture, attempts[best].database, attempts[best].models);
+    if (given || level > first_level) break;
+    const Decision again = needs::SecondAttempt(n_images, int(NumRegistered(attempts[best])), int(pieces.pieces.size()),
+                                                pieces.NumPlaced(), pieces.n_holding);
+    artifact.AddDecision(again);
+    if (!again.needed) break;
+    LogWarning("too few: trying again with larger photos and more features");
+  }
+  if (lenses.decision) artifact.AddDecision(*lenses.decision);
+  fs::remove_all(artifact.dir() / kPieceLists);
+  std::string groups, advice;
+  if (pieces.pieces.size() > 1) {
+    WritePieceLists(capture, pieces, artifact.dir() / kPieceLists);
+    groups = DescribePieces(capture, pieces);
+    advice = AdviseOnPieces(capture, pieces, fs::path("sfm") / kPieceLists);
   }
 
   const ColmapModel* largest = BestModel(attempts[best]);
   const size_t n_registered = NumRegistered(attempts[best]);
   if (n_registered < size_t(kFewestImages) || double(n_registered) < kFewest * n_images) {
-    throw InputError(DiagnoseRegistration(capture, attempts.back().database, largest));
+    if (groups.empty()) throw InputError(DiagnoseRegistration(capture, attempts.back().database, largest));
+    throw InputError("only " + std::to_string(n_registered) + " of " + std::to_string(n_images) +
+                     " photos could be placed together: " + groups + ". " +
+                     AdviseOnPieces(capture, pieces, artifact.dir() / kPieceLists));
   }
-  const ColmapModel working = base ? InBasesWorld(*base, capture, attempts[best], *largest, artifact) : *largest;
+  const bool refine = !attempts[best].settings.lenses.empty();
+  const ColmapModel found = refine ? Refined(*largest, options.n_threads) : *largest;
+  const ColmapModel working = base ? InBasesWorld(*base, capture, attempts[best], found, artifact) : found;
   double reprojection_error_px = 0;
   const ColmapModel model = AtFullSize(working, capture, reprojection_error_px);
   fs::create_directories(artifact.dir() / kGivenModelDir);
   WriteColmapBinary(model, artifact.dir() / kGivenModelDir);
   RecordFacts(attempts, attempts[best], capture, model, reprojection_error_px, artifact.facts());
+  artifact.facts()["lens_trials"] = LensTrials(lenses);
+  if (!groups.empty()) {
+    artifact.facts()["groups"] = PiecesJson(capture, pieces);
+    artifact.facts()["groups_advice"] = advice;
+    LogWarning(groups + ". Going on with the largest. " + advice);
+  }
   Certify(model, options.n_threads, artifact);
   KeepMapping(attempts[best], working, artifact.dir() / kMappingDir);
   fs::remove_all(work);

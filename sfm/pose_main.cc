@@ -78,6 +78,15 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(16, 1000000))
       ->group(nrff::kParameterGroup);
 
+  std::string camera_model = "auto";
+  estimate
+      ->add_option("--camera-model", camera_model,
+                   "COLMAP's model of all lenses; auto: SIMPLE_RADIAL, or a richer one\nwhere the photos need it")
+      ->check(CLI::IsMember({"auto", "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV",
+                             "OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE"}))
+      ->capture_default_str()
+      ->group(nrff::kParameterGroup);
+
   CLI::App* normalise = app.add_subcommand("normalise",
                                            "Normalises the poses, undistorts and packs the photos.\nExample: nrff-pose "
                                            "normalise --ingest work/photos/ingest --sfm"
@@ -160,6 +169,7 @@ int main(int argc, char** argv) {
     }
     if (estimate->parsed()) {
       estimation.n_threads = common.n_threads;
+      if (camera_model != "auto") estimation.camera_model = nrff::CameraModelNamed(camera_model);
       std::vector<nrff::HashedPath> inputs = {Input(common.ingest, "ingest")};
       if (!estimation.base.empty()) inputs.push_back(nrff::BaseInput(estimation.base));
       nrff::ArtifactWriter artifact("sfm", common.out, nrff::GivenParams(*estimate), inputs,

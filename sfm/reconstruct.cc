@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <charconv>
 #include <chrono>
+#include <cmath>
 #include <fstream>
 #include <map>
 #include <optional>
@@ -13,6 +14,8 @@
 #include "pipeline/progress.h"
 #include "sfm/first_look.h"
 #include "sfm/gps.h"
+#include "sfm/lens_model.h"
+#include "sfm/source.h"
 #include "sfm/working_photos.h"
 
 namespace nrff {
@@ -89,6 +92,28 @@ class Reconstruction {
     return attempt;
   }
 
+  Attempt RunAgain(const Attempt& before, const std::string& name) {
+    Attempt attempt;
+    database_ = dir_ / (name + ".db");
+    if (!fs::exists(database_)) {
+      const fs::path partial = dir_ / (name + ".partial.db");
+      fs::copy_file(before.database_file, partial, fs::copy_options::overwrite_existing);
+      std::map<uint32_t, ColmapCamera> cameras;
+      for (const auto& [group, lens] : settings_.lenses) {
+        if (const auto id = CameraOf(before.database, group)) cameras[*id] = AtWorkingSize(lens);
+      }
+      SetLenses(partial, cameras);
+      fs::rename(partial, database_);
+    }
+    MatchPairs(MatchedPairs(before.database), attempt);
+    artifact_.SaveSeconds();
+    attempt.models = Map(name, attempt);
+    artifact_.SaveSeconds();
+    attempt.settings = settings_;
+    attempt.database_file = database_;
+    return attempt;
+  }
+
  private:
   Colmap::Options Common() const {
     return {{"random_seed", std::to_string(settings_.seed)}, {"database_path", database_.native()}};
@@ -151,7 +176,7 @@ class Reconstruction {
       options.insert(options.end(), {{"image_path", photos_.native()},
                                      {"image_list_path", list_file.native()},
                                      {"ImageReader.single_camera", "1"},
-                                     {"ImageReader.camera_model", "SIMPLE_RADIAL"},
+                                     {"ImageReader.camera_model", CameraModelName(ModelOf(camera))},
                                      {"SiftExtraction.use_gpu", "0"},
                                      {"SiftExtraction.num_threads", Threads()},
                                      {"SiftExtraction.max_num_features", std::to_string(settings_.max_features)},
@@ -162,7 +187,7 @@ class Reconstruction {
         options.emplace_back("SiftExtraction.peak_threshold", Number(settings_.peak_threshold));
       if (const auto id = CameraOf(database, camera)) {
         options.emplace_back("ImageReader.existing_camera_id", std::to_string(*id));
-      } else if (const std::string params = CameraParams(photos.front()->info); !params.empty()) {
+      } else if (const std::string params = CameraParams(*photos.front()); !params.empty()) {
         options.emplace_back("ImageReader.camera_params", params);
       }
       colmap_.RunOrThrow("feature_extractor", options, 600 + 60 * double(photos.size()), [&](std::string_view line) {
@@ -183,11 +208,33 @@ class Reconstruction {
     return {};
   }
 
-  std::string CameraParams(const ImageInfo& info) const {
-    if (!info.focal_px) return {};
+  ColmapCamera AtWorkingSize(const ColmapCamera& lens) const {
+    const auto [width, height] = WorkingSize(lens.width, lens.height, settings_.max_image_size);
+    return ScaledCamera(lens, width, height);
+  }
+
+  CameraModel ModelOf(int group) const {
+    const auto known = settings_.lenses.find(group);
+    return known == settings_.lenses.end() ? settings_.camera_model : known->second.model;
+  }
+
+  // Of the photo's camera at the working size; empty where nothing is known.
+  std::string CameraParams(const CaptureImage& photo) const {
+    const ImageInfo& info = photo.info;
     const auto [width, height] = WorkingSize(info.width, info.height, settings_.max_image_size);
-    const double focal = *info.focal_px * std::max(width, height) / std::max(info.width, info.height);
-    return Number(focal) + "," + Number(width / 2.0) + "," + Number(height / 2.0) + ",0";
+    std::vector<double> params;
+    if (const auto known = settings_.lenses.find(photo.camera); known != settings_.lenses.end()) {
+      params = ScaledCamera(known->second, width, height).params;
+    } else if (info.focal_px) {
+      const CameraModel model = settings_.camera_model;
+      const double focal = *info.focal_px * std::max(width, height) / std::max(info.width, info.height);
+      params.assign(lens_model::HasOneFocalLength(model) ? 1 : 2, focal);
+      params.insert(params.end(), {width / 2.0, height / 2.0});
+      params.resize(size_t(CameraModelParamCount(model)), 0.0);
+    }
+    std::string text;
+    for (const double param : params) text.append(text.empty() ? "" : ",").append(Number(param));
+    return text;
   }
 
   // In batches, so that progress shows and an interruption costs little.
@@ -240,6 +287,17 @@ class Reconstruction {
     ids.reserve(capture_.images.size());
     for (const CaptureImage& photo : capture_.images) ids.push_back(by_name.at(WorkingPhotoName(photo)));
     return ids;
+  }
+
+  ImagePairs MatchedPairs(const ColmapDatabase& database) const {
+    const std::vector<uint32_t> ids = ImageIds(database);
+    std::map<uint32_t, int> index_of;
+    for (size_t i = 0; i < ids.size(); ++i) index_of[ids[i]] = int(i);
+    ImagePairs pairs;
+    for (const auto& [pair, n] : database.verified_matches)
+      pairs.emplace_back(std::minmax(index_of.at(pair.first), index_of.at(pair.second)));
+    std::sort(pairs.begin(), pairs.end());
+    return pairs;
   }
 
   ImagePairs ChoosePairs() {
@@ -355,6 +413,13 @@ class Reconstruction {
                                      {"Mapper.init_min_num_inliers", "50"},
                                      {"Mapper.abs_pose_min_num_inliers", "20"}});
     }
+    // COLMAP takes coefficients beyond 1 for a failure, and photos with these out.
+    double largest = 1;
+    for (const auto& [group, lens] : settings_.lenses) {
+      for (size_t i = size_t(lens_model::FirstDistortion(lens.model)); i < lens.params.size(); ++i)
+        largest = std::max(largest, 2 * std::abs(lens.params[i]));
+    }
+    if (largest > 1) options.emplace_back("Mapper.max_extra_param", Number(largest));
     Progress progress("mapping", double(capture_.images.size()), "photos");
     bool no_model = false;
     const double limit_seconds = 1800 + 120 * double(capture_.images.size());
@@ -414,6 +479,11 @@ SfmSettings SfmSettingsFromJson(const Json& json, const std::string& where) {
 Attempt Reconstruct(const Capture& capture, const SfmSettings& settings, Colmap& colmap, const fs::path& dir,
                     const ArtifactWriter& artifact, const EarlierMapping* earlier) {
   return Reconstruction(capture, settings, colmap, dir, artifact, earlier).Run();
+}
+
+Attempt ReconstructWithLenses(const Capture& capture, const Attempt& before, const std::string& name, Colmap& colmap,
+                              const fs::path& dir, const ArtifactWriter& artifact) {
+  return Reconstruction(capture, before.settings, colmap, dir, artifact).RunAgain(before, name);
 }
 
 }  // namespace nrff

@@ -2,11 +2,15 @@
 //
 // Everything is kept below the attempt's folder and used again by an attempt that goes on from it: photos already
 // scaled, features already extracted, pairs already matched, a reconstruction already finished.
+//
+// Photos of a group (Capture) share a camera. Where nothing better is known of a lens it is a SIMPLE_RADIAL one of the
+// focal length that the photos give.
 #pragma once
 
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <map>
 #include <optional>
 #include <set>
 #include <string>
@@ -32,6 +36,8 @@ struct SfmSettings {
   int n_next = 3;                 // and, in a capture in the order of taking, with this many next ones
   int n_nearest = 0;              // and with this many nearest ones by GPS
   bool tolerant_mapping = false;  // place photos by fewer matches and smaller parallax
+  CameraModel camera_model = CameraModel::kSimpleRadial;  // of lenses that are not known
+  std::map<int, ColmapCamera> lenses;                     // known ones, by group; of any size of the photos
   uint64_t seed = 0;
   int n_threads = 1;
 };
@@ -71,5 +77,10 @@ const ColmapModel* LargestModel(const std::vector<ColmapModel>& models);
 Attempt Reconstruct(const Capture& capture, const SfmSettings& settings, Colmap& colmap,
                     const std::filesystem::path& dir, const ArtifactWriter& artifact,
                     const EarlierMapping* earlier = nullptr);
+
+// The attempt `before`, of the folder `dir`, from its matches on with the lenses that its settings now know: verified
+// again, mapped again. Groups without one keep the lens they had. `name`: of its files below `dir`.
+Attempt ReconstructWithLenses(const Capture& capture, const Attempt& before, const std::string& name, Colmap& colmap,
+                              const std::filesystem::path& dir, const ArtifactWriter& artifact);
 
 }  // namespace nrff

@@ -103,7 +103,11 @@ class ReportTest : public testing::Test {
           {"n_registered", n_registered},
           {"n_images", 10},
           {"unregistered", {"c.jpg"}},
-          {"models", {{{"n_images", n_registered}, {"n_points", 99}}, {{"n_images", 3}, {"n_points", 7}}}}},
+          {"groups",
+           {{{"n_images", n_registered}, {"n_points", 99}, {"photos", "a.jpg to e.jpg"}},
+            {{"n_images", 3}, {"n_points", 7}, {"photos", "g.jpg to i.jpg"}}}},
+          {"field_of_view_deg", 160.4},
+          {"groups_advice", "No photo of one group matches any of another"}},
          {{"colmap.log", "log"}}, {needs::Sfm(false, "photos")});
   }
 
@@ -338,7 +342,12 @@ TEST_F(ReportTest, WarnsOfEverythingThatLimitsTheFigures) {
   const Json summary = WriteAndReadSummary();
   EXPECT_EQ(WarningKinds(summary),
             (std::set<std::string>{"low registration", "held-out photos without a pose", "unregistered photos",
-                                   "several models", "rejected photos", "duplicates"}));
+                                   "several groups", "wide lens", "rejected photos", "duplicates"}));
+  for (const Json& warning : summary["warnings"]) {
+    if (warning["kind"] != "several groups") continue;
+    EXPECT_THAT(warning["text"].get<std::string>(), HasSubstr("No photo of one group matches any of another"));
+    EXPECT_EQ(warning["items"][1], "3 photos, 7 points: g.jpg to i.jpg");
+  }
 }
 
 TEST_F(ReportTest, StageThatFailedIsNamedWithItsError) {
