@@ -56,15 +56,15 @@ inline constexpr double kEnoughPlaced = 0.8;
 Decision SecondAttempt(int n_images, int n_registered, int n_groups, int n_in_groups, int n_holding_pairs);
 
 // A camera model with more parameters is taken only where it predicts observations that neither was fitted to better by
-// 3 %. Of a made lens with a moustache it is 3.1 % (OPENCV; reprojection errors 0.37 → 0.31 px, positions off by 0.0017 →
-// 0.0010 units, but rotations by 0.12 → 0.34°, since the principal point is fitted, too), of fox 3.2 % (RADIAL); of lenses
-// that the simpler model is true of less than 1.5 % (tests/lens_choice_test.cc, hard_captures.md).
+// 3 %. Of a made lens with a moustache it is 3.1 % (OPENCV; reprojection errors 0.37 → 0.31 px, positions off by 0.0017
+// → 0.0010 units, but rotations by 0.12 → 0.34°, since the principal point is fitted, too), of fox 3.2 % (RADIAL); of
+// lenses that the simpler model is true of less than 1.5 % (tests/lens_choice_test.cc, hard_captures.md).
 Decision RicherLens(const std::string& model, double error_px, const std::string& richer, double richer_error_px);
 
-// Photos that may be a fisheye's are mapped as such, too, from the same matches; it is one where no fewer photos are placed
-// and a tenth more observations agree. EXIF cannot tell: 15 mm are a fisheye's 160° as well as a telephone's corrected
-// 110°. A made fisheye's poses were 45 times and a 120° barrel's 6 times as far off with a simple lens, which placed all
-// photos, too (tests/bench/results/hard_captures.md).
+// Photos that may be a fisheye's are mapped as such, too, from the same matches; it is one where no fewer photos are
+// placed and a tenth more observations agree. EXIF cannot tell: 15 mm are a fisheye's 160° as well as a telephone's
+// corrected 110°. A made fisheye's poses were 45 times and a 120° barrel's 6 times as far off with a simple lens, which
+// placed all photos, too (tests/bench/results/hard_captures.md).
 Decision Fisheye(int n_placed, size_t n_observations, int n_placed_as_fisheye, size_t n_observations_as_fisheye);
 
 // The finest grid resolution that training settles. Few views leave finer cells to be learnt by heart, view by view,

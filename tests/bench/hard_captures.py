@@ -107,11 +107,11 @@ def number(value, digits):
 def markdown(rows):
     machines = sorted({f"{row['machine']} on {row['date']}" for row in rows})
     lines = ["# Captures that are hard on SfM", "",
-             f"Made by `tests/bench/hard_captures.py` on {'; '.join(machines)}. Made captures: 20 photos of 640×480 px of a "
-             "still life, cameras some 3 units from it; pose errors in its units and degrees, median after alignment to "
-             "the truth. Other work ran on the machine: seconds are no measure.", "",
-             "| capture | lenses | cameras | registered | points | reprojection, px | position | rotation, ° | field, ° | "
-             "model | held out, px | s |", "|---|---|---:|---:|---:|---:|---:|---:|---:|---|---|---:|"]
+             f"Made by `tests/bench/hard_captures.py` on {'; '.join(machines)}. Made captures: 20 photos of "
+             "640×480 px of a still life, cameras some 3 units from it; pose errors in its units and degrees, median "
+             "after alignment to the truth. Other work ran on the machine: seconds are no measure.", "",
+             "| capture | lenses | cameras | registered | points | reprojection, px | position | rotation, ° | "
+             "field, ° | model | held out, px | s |", "|---|---|---:|---:|---:|---:|---:|---:|---:|---|---|---:|"]
     said = []
     for row in rows:
         if row.get("error"):
