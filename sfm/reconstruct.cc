@@ -483,7 +483,7 @@ Attempt Reconstruct(const Capture& capture, const SfmSettings& settings, Colmap&
 
 Attempt ReconstructWithLenses(const Capture& capture, const Attempt& before, const std::string& name, Colmap& colmap,
                               const fs::path& dir, const ArtifactWriter& artifact) {
-  return Reconstruction(capture, before.settings, colmap, dir, artifact).RunAgain(before, name);
+  return Reconstruction(capture, before.settings, colmap, dir, artifact, nullptr).RunAgain(before, name);
 }
 
 }  // namespace nrff
