@@ -90,8 +90,8 @@ Decision ExposureCorrection(double spread_ev, bool unbounded);
 
 // Corrections of the training views' cameras are left out where, looked at when a seventh of the training is done, they
 // would move the pictures by less than kVisibleDisplacement_px in the median of the views (`displacement_px`; none
-// where nobody looked). Of lego with exact poses they would by 0.3 px, which is what the young model is wrong by, and cost
-// 0.3 dB; of lego with poses wrong by two pixels by 0.9, and gain 2 dB.
+// where nobody looked). Of lego with exact poses they would by 0.3 px, which is what the young model is wrong by, and
+// cost 0.3 dB; of lego with poses wrong by two pixels by 0.9, and gain 2 dB.
 inline constexpr double kVisibleDisplacement_px = 0.5;
 Decision CameraCorrection(std::optional<double> displacement_px);
 
