@@ -31,9 +31,28 @@ namespace nrff {
 namespace {
 
 constexpr int kFocal35mm = 35;  // 35 mm equivalent, by the diagonal (CIPA DCG-001)
+constexpr int kSecondFocal35mm = 28;
+constexpr double kZoom35mm[] = {28, 50};
 constexpr double kFullFrameDiagonalMm = 43.2666;
 constexpr double kCropFactor = 5.5;        // of a small sensor
 constexpr double kDepthUnit = 1.0 / 2048;  // scene units per step of the 16-bit depth
+
+// Real ones' distortion, about: a kit zoom's moustache, an action camera's barrel, a fisheye of 160° across.
+enum class LensKind { kPinhole, kBrown, kWide, kFisheye };
+constexpr double kWide35mm = 17, kFisheye35mm = 15.6;
+Distortion DistortionOf(LensKind lens) {
+  switch (lens) {
+    case LensKind::kPinhole:
+      return {};
+    case LensKind::kBrown:
+      return {false, {-0.16, 0.22, 0.001, -0.0015}};
+    case LensKind::kWide:
+      return {false, {-0.25, 0.06, 0.0005, -0.0005}};
+    case LensKind::kFisheye:
+      return {true, {-0.02, 0.004, -0.001, 0}};
+  }
+  return {};
+}
 
 struct Options {
   fs::path out;
@@ -43,6 +62,9 @@ struct Options {
   Finish finish = Finish::kGlossy;
   double exposure_drift_ev = 0;
   bool passers_by = false;
+  LensKind lens = LensKind::kPinhole;
+  bool second_camera = false, turned = false, focal_jitter = false, no_focal = false;
+  int zoom = 0;
   int n_threads = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
 };
 
@@ -77,19 +99,69 @@ Vec3d Gain(const Options& options, int i) {
   return {std::exp2(ev + balance), std::exp2(ev), std::exp2(ev - balance)};
 }
 
-OIIO::ImageSpec PhotoSpec(const Options& options, int i) {
-  OIIO::ImageSpec spec(options.width, options.height, 3, OIIO::TypeDesc::UINT8);
+bool IsOfSecondCamera(const Options& options, int i) { return options.second_camera && i % 2 == 1; }
+
+// How the camera was held for the photo, as EXIF has it.
+int Orientation(const Options& options, int i) {
+  constexpr int kTurned[] = {1, 6, 8};
+  return options.turned ? kTurned[i % 3] : 1;
+}
+
+// 35 mm equivalent of the photo's focal length.
+double Focal35mm(const Options& options, int i) {
+  if (IsOfSecondCamera(options, i)) return kSecondFocal35mm;
+  if (options.lens == LensKind::kWide) return kWide35mm;
+  if (options.lens == LensKind::kFisheye) return kFisheye35mm;
+  if (options.zoom == 0) return kFocal35mm;
+  const double step = options.zoom == 1 ? 0 : double(i % options.zoom) / (options.zoom - 1);
+  return kZoom35mm[0] * std::pow(kZoom35mm[1] / kZoom35mm[0], step);
+}
+
+// The photo's camera, where MakeOrbit has it. A turned photo's picture is upright.
+void SetUp(const Options& options, int i, Camera& camera) {
+  camera.width = options.width;
+  camera.height = options.height;
+  if (IsOfSecondCamera(options, i)) camera.width = options.height * 5 / 4;  // of another shape
+  camera.focal_px = Focal35mm(options, i) / kFullFrameDiagonalMm * std::hypot(camera.width, camera.height);
+  if (Orientation(options, i) != 1) std::swap(camera.width, camera.height);
+  camera.distortion = DistortionOf(options.lens);
+  camera.gain = Gain(options, i);
+}
+
+// As the sensor has it: what displaying turns by a quarter to the right (EXIF orientation 6) or to the left (8).
+template <typename T>
+std::vector<T> Stored(const std::vector<T>& shown, const OIIO::ImageSpec& stored, int orientation) {
+  if (orientation == 1) return shown;
+  const size_t width = size_t(stored.width), height = size_t(stored.height), channels = size_t(stored.nchannels);
+  std::vector<T> pixels(shown.size());
+  for (size_t y = 0; y < height; ++y) {
+    for (size_t x = 0; x < width; ++x) {
+      const size_t from = orientation == 6 ? x * height + (height - 1 - y) : (width - 1 - x) * height + y;
+      std::copy_n(&shown[from * channels], channels, &pixels[(y * width + x) * channels]);
+    }
+  }
+  return pixels;
+}
+
+OIIO::ImageSpec PhotoSpec(const Options& options, const Camera& camera, int i) {
+  OIIO::ImageSpec spec(camera.width, camera.height, 3, OIIO::TypeDesc::UINT8);
   spec.attribute("oiio:ColorSpace", "sRGB");
   if (options.posed) return spec;
   const std::string time = fmt::format("2024:06:21 19:{:02d}:{:02d}", 30 + i * 4 / 60, i * 4 % 60);
   spec.attribute("Compression", "jpeg:92");
-  spec.attribute("Orientation", 1);
+  if (Orientation(options, i) != 1) std::swap(spec.width, spec.height);
+  spec.full_width = spec.width;
+  spec.full_height = spec.height;
+  spec.attribute("Orientation", Orientation(options, i));
   spec.attribute("Make", "NRFF");
-  spec.attribute("Model", "Example Camera");
+  spec.attribute("Model", IsOfSecondCamera(options, i) ? "Second Camera" : "Example Camera");
   spec.attribute("DateTime", time);
   spec.attribute("Exif:DateTimeOriginal", time);
-  spec.attribute("Exif:FocalLength", static_cast<float>(kFocal35mm / kCropFactor));
-  spec.attribute("Exif:FocalLengthIn35mmFilm", kFocal35mm);
+  if (!options.no_focal) {
+    const double focal = Focal35mm(options, i) + (options.focal_jitter ? i * 7 % 3 - 1 : 0);
+    spec.attribute("Exif:FocalLength", static_cast<float>(focal / kCropFactor));
+    spec.attribute("Exif:FocalLengthIn35mmFilm", static_cast<int>(std::lround(focal)));
+  }
   spec.attribute("ExposureTime", static_cast<float>(std::exp2(ExposureEv(options, i)) / 250));
   spec.attribute("FNumber", 5.6f);
   spec.attribute("Exif:ISOSpeedRatings", 100);
@@ -98,17 +170,17 @@ OIIO::ImageSpec PhotoSpec(const Options& options, int i) {
 
 // A striped ellipse over a seventh of the picture, at another place and in other colours in each; its mask is black
 // there.
-void AddPasserBy(const Options& options, int i, Picture& picture, std::vector<uint8_t>& mask) {
+void AddPasserBy(const Options& options, const Camera& camera, int i, Picture& picture, std::vector<uint8_t>& mask) {
   const auto random = [&](int k) { return UnitFromHash(Hash(i, k, 17, options.seed)); };
-  const double cx = (0.2 + 0.6 * random(0)) * options.width, cy = (0.3 + 0.4 * random(1)) * options.height;
-  const double rx = 0.15 * options.width, ry = 0.3 * options.height, angle = std::numbers::pi * random(2);
-  const double stripe = 0.03 * options.height * (1 + random(3));
-  mask.assign(static_cast<size_t>(options.width) * options.height, 255);
-  for (int y = 0; y < options.height; ++y) {
-    for (int x = 0; x < options.width; ++x) {
+  const double cx = (0.2 + 0.6 * random(0)) * camera.width, cy = (0.3 + 0.4 * random(1)) * camera.height;
+  const double rx = 0.15 * camera.width, ry = 0.3 * camera.height, angle = std::numbers::pi * random(2);
+  const double stripe = 0.03 * camera.height * (1 + random(3));
+  mask.assign(static_cast<size_t>(camera.width) * camera.height, 255);
+  for (int y = 0; y < camera.height; ++y) {
+    for (int x = 0; x < camera.width; ++x) {
       const double dx = x + 0.5 - cx, dy = y + 0.5 - cy;
       if (dx * dx / (rx * rx) + dy * dy / (ry * ry) > 1) continue;
-      const size_t pixel = static_cast<size_t>(y) * options.width + x;
+      const size_t pixel = static_cast<size_t>(y) * camera.width + x;
       mask[pixel] = 0;
       const bool odd = std::fmod(dx * std::cos(angle) + dy * std::sin(angle) + 1e3 * stripe, 2 * stripe) < stripe;
       for (int c = 0; c < 3; ++c) {
@@ -120,13 +192,15 @@ void AddPasserBy(const Options& options, int i, Picture& picture, std::vector<ui
 
 void WriteView(const Options& options, const World& world, const Camera& camera, int i, const fs::path& dir) {
   Picture picture = Render(world, camera, options.samples, options.seed + 7919 * static_cast<uint32_t>(i + 1));
+  const OIIO::ImageSpec photo = PhotoSpec(options, camera, i);
+  const int orientation = options.posed ? 1 : Orientation(options, i);
   if (options.passers_by) {
     std::vector<uint8_t> mask;
-    AddPasserBy(options, i, picture, mask);
-    WriteImage(dir / MaskPath(options, i), OIIO::ImageSpec(options.width, options.height, 1, OIIO::TypeDesc::UINT8),
-               mask.data());
+    AddPasserBy(options, camera, i, picture, mask);
+    const OIIO::ImageSpec spec(photo.width, photo.height, 1, OIIO::TypeDesc::UINT8);
+    WriteImage(dir / MaskPath(options, i), spec, Stored(mask, spec, orientation).data());
   }
-  WriteImage(dir / PhotoPath(options, i), PhotoSpec(options, i), picture.rgb.data());
+  WriteImage(dir / PhotoPath(options, i), photo, Stored(picture.rgb, photo, orientation).data());
 
   std::vector<uint16_t> depth(picture.distance.size()), normal(picture.normal.size());
   for (size_t p = 0; p < depth.size(); ++p) {
@@ -135,7 +209,7 @@ void WriteView(const Options& options, const World& world, const Camera& camera,
   for (size_t p = 0; p < normal.size(); ++p) {
     normal[p] = static_cast<uint16_t>(std::lround((picture.normal[p] + 1) / 2 * 65535));
   }
-  OIIO::ImageSpec spec(options.width, options.height, 1, OIIO::TypeDesc::UINT16);
+  OIIO::ImageSpec spec(camera.width, camera.height, 1, OIIO::TypeDesc::UINT16);
   spec.attribute("png:compressionLevel", 3);
   WriteImage(dir / "truth/depth" / (ViewName(i) + ".png"), spec, depth.data());
   spec.nchannels = 3;
@@ -143,8 +217,24 @@ void WriteView(const Options& options, const World& world, const Camera& camera,
   WriteImage(dir / "truth/normal" / (ViewName(i) + ".png"), spec, normal.data());
 }
 
-// instant-ngp's layout; `prefix` leads from the file to the capture's directory.
+Json Intrinsics(const Camera& camera) {
+  Json json = {{"camera_model", "PINHOLE"}, {"fl_x", camera.focal_px},   {"fl_y", camera.focal_px},
+               {"cx", 0.5 * camera.width},  {"cy", 0.5 * camera.height}, {"w", camera.width},
+               {"h", camera.height}};
+  if (!camera.distortion.fisheye) json["camera_angle_x"] = 2 * std::atan(0.5 * camera.width / camera.focal_px);
+  if (!camera.distortion.fisheye && camera.distortion.k == std::array<double, 4>{}) return json;
+  json["camera_model"] = camera.distortion.fisheye ? "OPENCV_FISHEYE" : "OPENCV";
+  const std::array<const char*, 4> names = camera.distortion.fisheye
+                                               ? std::array<const char*, 4>{"k1", "k2", "k3", "k4"}
+                                               : std::array<const char*, 4>{"k1", "k2", "p1", "p2"};
+  for (size_t i = 0; i < names.size(); ++i) json[names[i]] = camera.distortion.k[i];
+  return json;
+}
+
+// instant-ngp's layout; what a frame has of its own stands with it; `prefix` leads from the file to the capture's
+// directory.
 Json Transforms(const Options& options, const std::vector<Camera>& cameras, const std::string& prefix) {
+  const Json shared = Intrinsics(cameras.front());
   Json frames = Json::array();
   for (size_t i = 0; i < cameras.size(); ++i) {
     Eigen::Matrix4d matrix = cameras[i].world_from_camera.matrix();
@@ -153,18 +243,14 @@ Json Transforms(const Options& options, const std::vector<Camera>& cameras, cons
     for (int row = 0; row < 4; ++row) {
       rows.push_back({matrix(row, 0), matrix(row, 1), matrix(row, 2), matrix(row, 3)});
     }
-    frames.push_back({{"file_path", prefix + PhotoPath(options, static_cast<int>(i))}, {"transform_matrix", rows}});
+    Json frame = {{"file_path", prefix + PhotoPath(options, static_cast<int>(i))}, {"transform_matrix", rows}};
+    const Json intrinsics = Intrinsics(cameras[i]);
+    if (intrinsics != shared) frame.update(intrinsics);
+    frames.push_back(std::move(frame));
   }
-  const double focal = cameras.front().focal_px;
-  return {{"camera_model", "PINHOLE"},
-          {"camera_angle_x", 2 * std::atan(0.5 * options.width / focal)},
-          {"fl_x", focal},
-          {"fl_y", focal},
-          {"cx", 0.5 * options.width},
-          {"cy", 0.5 * options.height},
-          {"w", options.width},
-          {"h", options.height},
-          {"frames", frames}};
+  Json transforms = shared;
+  transforms["frames"] = frames;
+  return transforms;
 }
 
 Json Truth(const Options& options, const World& world) {
@@ -206,10 +292,8 @@ void RequireReplaceable(const fs::path& out) {
 void MakeCapture(const Options& options) {
   RequireReplaceable(options.out);
   const World world = MakeStillLife(options.finish, options.seed);
-  const double diagonal_px = std::hypot(options.width, options.height);
-  std::vector<Camera> cameras = MakeOrbit(options.n_views, options.width, options.height,
-                                          kFocal35mm / kFullFrameDiagonalMm * diagonal_px, options.seed);
-  for (int i = 0; i < options.n_views; ++i) cameras[static_cast<size_t>(i)].gain = Gain(options, i);
+  std::vector<Camera> cameras = MakeOrbit(options.n_views, options.seed);
+  for (int i = 0; i < options.n_views; ++i) SetUp(options, i, cameras[static_cast<size_t>(i)]);
   fs::path partial = options.out;
   partial += ".partial";
   fs::remove_all(partial);
@@ -267,6 +351,18 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(0., 6.))
       ->capture_default_str();
   app.add_flag("--passers-by", options.passers_by, "Something else covers part of each photo, and masks say where");
+  app.add_option("--lens", options.lens,
+                 "Of all photos: pinhole (default), brown (moustache and tangential),\nwide (17 mm, barrel) or fisheye "
+                 "(160°)")
+      ->transform(CLI::Transformer(std::map<std::string, nrff::LensKind>{{"pinhole", nrff::LensKind::kPinhole},
+                                                                         {"brown", nrff::LensKind::kBrown},
+                                                                         {"wide", nrff::LensKind::kWide},
+                                                                         {"fisheye", nrff::LensKind::kFisheye}}));
+  app.add_flag("--second-camera", options.second_camera, "Every other photo is of another size and 28 mm");
+  app.add_flag("--turned", options.turned, "Photos held upright, to the left and to the right, said by EXIF");
+  app.add_option("--zoom", options.zoom, "Focal lengths from 28 to 50 mm, this many")->check(CLI::Range(1, 1000));
+  app.add_flag("--focal-jitter", options.focal_jitter, "EXIF's focal lengths are off by up to 1 mm");
+  app.add_flag("--no-focal", options.no_focal, "EXIF says nothing of focal lengths");
   app.add_option("--scene", options.finish, "diffuse: colours do not depend on the view; glossy (default)")
       ->transform(CLI::Transformer(
           std::map<std::string, nrff::Finish>{{"diffuse", nrff::Finish::kDiffuse}, {"glossy", nrff::Finish::kGlossy}}));

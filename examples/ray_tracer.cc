@@ -1,5 +1,6 @@
 #include "examples/ray_tracer.h"
 
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <numbers>
@@ -165,6 +166,43 @@ Vec3d Shade(const World& world, const Ray& ray, double spread, double distance_b
   return radiance;
 }
 
+// The direction whose image, in units of the focal length, is `image`.
+Vec3d Undistorted(const Distortion& distortion, const Eigen::Vector2d& image) {
+  const auto& [k1, k2, k3, k4] = distortion.k;
+  constexpr int kMostSteps = 50;
+  if (distortion.fisheye) {
+    const double radius = image.norm();
+    if (radius == 0) return Vec3d::UnitZ();
+    double theta = radius;
+    for (int step = 0; step < kMostSteps; ++step) {
+      const double t2 = theta * theta;
+      const double value = theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))));
+      const double slope = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)));
+      const double change = (value - radius) / slope;
+      theta -= change;
+      if (std::abs(change) < 1e-14) break;
+    }
+    const Eigen::Vector2d sideways = std::sin(theta) / radius * image;
+    return {sideways.x(), sideways.y(), std::cos(theta)};
+  }
+  if (distortion.k == std::array<double, 4>{}) return {image.x(), image.y(), 1};
+  const double p1 = k3, p2 = k4;
+  Eigen::Vector2d uv = image;
+  for (int step = 0; step < kMostSteps; ++step) {
+    const double u = uv.x(), v = uv.y(), r2 = uv.squaredNorm();
+    const double radial = 1 + r2 * (k1 + r2 * k2), slope = 2 * (k1 + 2 * r2 * k2);  // d radial = slope · (u du + v dv)
+    const Eigen::Vector2d value(u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u),
+                                v * radial + 2 * p2 * u * v + p1 * (r2 + 2 * v * v));
+    Eigen::Matrix2d jacobian;
+    jacobian << radial + slope * u * u + 2 * p1 * v + 6 * p2 * u, slope * u * v + 2 * p1 * u + 2 * p2 * v,
+        slope * u * v + 2 * p1 * u + 2 * p2 * v, radial + slope * v * v + 2 * p2 * u + 6 * p1 * v;
+    const Eigen::Vector2d change = jacobian.inverse() * (value - image);
+    uv -= change;
+    if (change.norm() < 1e-14) break;
+  }
+  return {uv.x(), uv.y(), 1};
+}
+
 }  // namespace
 
 Hit Intersect(const World& world, const Ray& ray) {
@@ -210,7 +248,7 @@ Vec3d ToneMap(const Vec3d& radiance) {
 }
 
 Ray Camera::RayThrough(double x, double y) const {
-  const Vec3d direction((x - 0.5 * width) / focal_px, (y - 0.5 * height) / focal_px, 1);
+  const Vec3d direction = Undistorted(distortion, {(x - 0.5 * width) / focal_px, (y - 0.5 * height) / focal_px});
   return {world_from_camera.translation(), world_from_camera.linear() * direction.normalized()};
 }
 

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <Eigen/Geometry>
+#include <array>
 #include <cstdint>
 #include <optional>
 #include <vector>
@@ -64,14 +65,22 @@ Vec3d Radiance(const World& world, const Ray& ray, double spread);
 // Linear radiance → sRGB in [0, 1], highlights rolled off.
 Vec3d ToneMap(const Vec3d& radiance);
 
-// Pinhole camera, OpenCV axes, pixel centres at +0.5.
+// What a camera's lens does to the image of a pinhole, as OpenCV's models have it: perspective with k1, k2, p1, p2, or
+// a fisheye, whose radius is f·θ·(1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸) at θ from the axis.
+struct Distortion {
+  bool fisheye = false;
+  std::array<double, 4> k{};
+};
+
+// OpenCV axes, pixel centres at +0.5.
 struct Camera {
   int width = 0, height = 0;  // px
   double focal_px = 0;        // principal point at the centre
+  Distortion distortion;
   Eigen::Isometry3d world_from_camera = Eigen::Isometry3d::Identity();
   Vec3d gain = Vec3d::Ones();  // of radiance before ToneMap: exposure and white balance
 
-  Ray RayThrough(double x, double y) const;  // px
+  Ray RayThrough(double x, double y) const;  // px; by Newton's method where the lens distorts
 };
 
 struct Picture {

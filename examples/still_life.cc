@@ -192,7 +192,7 @@ World MakeStillLife(Finish finish, uint32_t seed) {
   return world;
 }
 
-std::vector<Camera> MakeOrbit(int n_views, int width, int height, double focal_px, uint32_t seed) {
+std::vector<Camera> MakeOrbit(int n_views, uint32_t seed) {
   constexpr double kFullCircle = 24;  // views
   const int n_low = (n_views + 1) / 2;
   const double arc = 2 * kPi * std::min(1.0, std::pow(n_views / kFullCircle, 1.5));
@@ -212,7 +212,7 @@ std::vector<Camera> MakeOrbit(int n_views, int width, int height, double focal_p
     const Vec3d right = forward.cross(Vec3d::UnitZ()).normalized();
     Eigen::Matrix3d world_from_camera;
     world_from_camera << right, forward.cross(right), forward;
-    Camera camera{.width = width, .height = height, .focal_px = focal_px};
+    Camera camera;
     camera.world_from_camera.linear() = world_from_camera * Eigen::AngleAxisd(roll, Vec3d::UnitZ());
     camera.world_from_camera.translation() = centre;
     cameras.push_back(camera);

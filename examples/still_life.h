@@ -17,7 +17,7 @@ World MakeStillLife(Finish finish, uint32_t seed);
 
 // Two rings at different heights, walked one after the other, with the irregularities of a hand-held camera. The second
 // ring looks from between the first one's places. Fewer than 24 views cover a part of the circle and stand closer
-// together, so that each overlaps with several others.
-std::vector<Camera> MakeOrbit(int n_views, int width, int height, double focal_px, uint32_t seed);
+// together, so that each overlaps with several others. Poses alone.
+std::vector<Camera> MakeOrbit(int n_views, uint32_t seed);
 
 }  // namespace nrff

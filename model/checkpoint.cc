@@ -5,6 +5,7 @@
 
 #include <algorithm>
 
+#include "model/base_training.h"
 #include "model/kernels/adam.h"
 #include "model/safetensors.h"
 #include "pipeline/error.h"
@@ -24,6 +25,8 @@ constexpr char kParameterPrefix[] = "parameter/";
 constexpr char kAdamMPrefix[] = "adam_m/";
 constexpr char kAdamVPrefix[] = "adam_v/", kAveragePrefix[] = "average/";
 
+constexpr char kCorrectionsName[] = "colour_corrections";  // NrffField's
+
 // TrainState's plain numbers by name. `Visit` is called with (name, member) for each: the one list for both directions.
 template <typename State, typename Visit>
 void ForEachNumber(State& state, const Visit& visit) {
@@ -39,6 +42,10 @@ void ForEachNumber(State& state, const Visit& visit) {
   visit("occupancy_updates", state.occupancy_updates);
   visit("occupancy_moments_done", state.occupancy_moments_done);
   visit("shrink_moments_done", state.shrink_moments_done);
+  visit("cameras", state.cameras);
+  visit("camera_displacements_px", state.camera_displacements_px);
+  visit("camera_first_px", state.camera_first_px);
+  visit("camera_moments_done", state.camera_moments_done);
   visit("n_skipped", state.n_skipped);
   visit("n_skipped_in_row", state.n_skipped_in_row);
   visit("rate_scale", state.rate_scale);
@@ -155,6 +162,63 @@ void LoadCheckpoint(const std::filesystem::path& dir, const std::string& setting
   }
 }
 
+BaseTraining ReadBaseTraining(const std::filesystem::path& dir) {
+  const SafetensorsFile file(dir / kCheckpointFile);
+  BaseTraining base;
+  base.settings = file.Metadata("settings");
+  const Json numbers = ParseMetadata(file, "state");
+  const std::string where = EscapePath(file.path());
+  base.steps = Get<int64_t>(numbers, "step", where);
+  const bool averaged = Get<int64_t>(numbers, "n_averaged", where) > 0;
+  const std::string corrections = std::string(averaged ? kAveragePrefix : kParameterPrefix) + kCorrectionsName;
+  if (file.Has(corrections)) base.corrections = file.Values<float>(corrections);
+  return base;
+}
+
+void LoadBase(const std::filesystem::path& dir, TrainState& state) {
+  const c10::NoGradGuard no_grad;
+  const SafetensorsFile file(dir / kCheckpointFile);
+  const std::string where = EscapePath(file.path());
+  const Json numbers = ParseMetadata(file, "state");
+  const auto number = [&](const char* name, auto& value) {
+    value = Get<std::remove_reference_t<decltype(value)>>(numbers, name, where);
+  };
+  int64_t n_averaged = 0;
+  number("n_averaged", n_averaged);
+  const auto& parameters = state.field.parameters();
+  for (size_t i = 0; i < parameters.size(); ++i) {
+    if (parameters[i].name == kCorrectionsName) continue;
+    Read(file, (n_averaged > 0 ? kAveragePrefix : kParameterPrefix) + parameters[i].name, parameters[i].value);
+    Read(file, kAdamMPrefix + parameters[i].name, state.adam_m[i]);
+    Read(file, kAdamVPrefix + parameters[i].name, state.adam_v[i]);
+  }
+  number("adam_t", state.adam_t);
+  number("map", state.map);
+  number("n_rays", state.n_rays);
+  number("progress_at_reset", state.progress_at_reset);
+  number("step_stage", state.step_stage);
+  number("occupancy_updates", state.occupancy_updates);
+  number("occupancy_moments_done", state.occupancy_moments_done);
+  number("shrink_moments_done", state.shrink_moments_done);
+  number("rate_scale", state.rate_scale);
+  number("train_mse", state.train_mse);
+  number("cameras", state.cameras);
+  number("camera_first_px", state.camera_first_px);
+  number("camera_moments_done", state.camera_moments_done);
+  OccupancyGrid::State occupancy = ReadOccupancy(file).GetState();
+  // In bounded scenes, whose box may have shrunk, every cell is seen.
+  if (state.map.unbounded) {
+    const OccupancyGrid::State now = state.occupancy.GetState();
+    if (now.resolution != occupancy.resolution) throw CorruptError(where + " has another occupancy grid");
+    for (size_t w = 0; w < now.seen.size(); ++w) {
+      const uint64_t added = now.seen[w] & ~occupancy.seen[w];
+      occupancy.occupied[w] = (occupancy.occupied[w] | added) & now.seen[w];
+    }
+    occupancy.seen = now.seen;
+  }
+  state.occupancy = OccupancyGrid::FromState(std::move(occupancy));
+}
+
 void SaveModel(const std::filesystem::path& dir, const TrainState& state, const RenderOptions& options) {
   Writer writer;
   writer.Add(state.field);
@@ -163,6 +227,7 @@ void SaveModel(const std::filesystem::path& dir, const TrainState& state, const 
   const Json model = {{"schema_version", kModelSchemaVersion},
                       {"field", ToJson(state.field.config())},
                       {"map", state.map},
+                      {"cameras", state.cameras},
                       {"render",
                        {{"step", options.step},
                         {"near", options.near},
@@ -187,9 +252,13 @@ std::unique_ptr<LoadedModel> LoadModel(const std::filesystem::path& dir) {
   options.weight_threshold = Get<double>(render, "weight_threshold", where);
   options.stop_transmittance = Get<double>(render, "stop_transmittance", where);
   options.background = Get<double>(render, "background", where);
-  auto model =
-      std::make_unique<LoadedModel>(LoadedModel{std::make_unique<NrffField>(config, torch::kFloat, 0),
-                                                ReadOccupancy(file), Get<SceneMap>(json, "map", where), options});
+  auto model = std::make_unique<LoadedModel>(LoadedModel{std::make_unique<NrffField>(config, torch::kFloat, 0),
+                                                         ReadOccupancy(file),
+                                                         Get<SceneMap>(json, "map", where),
+                                                         options,
+                                                         {}});
+  if (json.contains("cameras"))
+    model->cameras = Get<CameraCorrections>(json, "cameras", where);  // models of old lack them
   Read(file, *model->field);
   return model;
 }

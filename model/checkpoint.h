@@ -3,7 +3,7 @@
 //   checkpoint.safetensors  everything a training goes on from: parameter/…, adam_m/…, adam_v/…, occupancy/…, and the
 //                           numbers of TrainState as JSON under the metadata key "state"
 //   model.safetensors       what rendering needs: parameter/…, occupancy/…, and under "model" as JSON: schema_version,
-//                           field (FieldConfig), map (SceneMap), render (RenderOptions)
+//                           field (FieldConfig), map (SceneMap), render (RenderOptions), cameras (CameraCorrections)
 //
 // Neither is ever written with a number that is not finite.
 #pragma once
@@ -39,6 +39,7 @@ struct LoadedModel {
   OccupancyGrid occupancy;
   SceneMap map;
   RenderOptions options;
+  CameraCorrections cameras;
 };
 
 // Throws InputError when there is no model in `dir`, CorruptError when it cannot be used.

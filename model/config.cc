@@ -47,11 +47,11 @@ NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(TrainConfig, steps, rays, max_rays, target_sh
                                    correction_rate, final_rate, beta1, beta2, epsilon, lazy_grids, average_from,
                                    average_interval, reset_with_step, orientation_weight, density_l1_weight,
                                    density_l1_weight_later, sparsity_weight, depth_weight, depth_rays,
-                                   correction_weight, step_voxels, step_moments, step_ratio, occupancy_resolution,
-                                   occupancy_moments, occupancy_interval, occupancy_cells, occupancy_threshold,
-                                   occupancy_decay, occupancy_dilate, occupancy_min_views, shrink_moments,
-                                   weight_threshold_first, weight_threshold_last, weight_threshold_moment,
-                                   unknown_background)
+                                   correction_weight, camera_moments, camera_pixels, camera_least_px, step_voxels,
+                                   step_moments, step_ratio, occupancy_resolution, occupancy_moments,
+                                   occupancy_interval, occupancy_cells, occupancy_threshold, occupancy_decay,
+                                   occupancy_dilate, occupancy_min_views, shrink_moments, weight_threshold_first,
+                                   weight_threshold_last, weight_threshold_moment, unknown_background)
 
 Json ToJson(const FieldConfig& config) { return config; }
 Json ToJson(const TrainConfig& config) { return config; }
@@ -104,10 +104,15 @@ void CheckConfig(const TrainConfig& config) {
             config.sparsity_weight >= 0 && config.depth_weight >= 0 && config.correction_weight >= 0,
         "weights of losses must not be negative");
   check(config.depth_rays > 0, "depth_rays must be positive");
+  check(config.camera_pixels > 0 && config.camera_least_px >= 0,
+        "camera_pixels must be positive, camera_least_px not negative");
+  check(config.camera_moments.empty() || config.camera_moments.back() < config.average_from,
+        "average_from must lie behind the last of camera_moments");
   check(config.step_ratio > 0 && config.step_voxels.size() == config.step_moments.size() + 1,
         "step_voxels has one entry more than step_moments");
   for (const int voxels : config.step_voxels) check(voxels > 0, "step_voxels must be positive");
-  for (const auto& moments : {config.step_moments, config.occupancy_moments, config.shrink_moments})
+  for (const auto& moments :
+       {config.step_moments, config.occupancy_moments, config.shrink_moments, config.camera_moments})
     check(std::is_sorted(moments.begin(), moments.end()), "moments must ascend");
   check(config.occupancy_resolution > 0 && config.occupancy_resolution <= 1024 && config.occupancy_resolution % 8 == 0,
         "occupancy_resolution is a multiple of 8 up to 1024");
@@ -178,6 +183,9 @@ void ApplySettings(const std::string& settings, Preset& preset) {
 
 namespace {
 
+// Every 25th of the training while it is young; what comes behind settles with the cameras as they are.
+const std::vector<double> kCameraMoments = {0.15, 0.19, 0.23, 0.27, 0.31, 0.35, 0.39, 0.43, 0.47, 0.51, 0.55};
+
 // What two cores train in a few minutes; tuned on training views that were held out.
 Preset SmallPreset(bool unbounded) {
   Preset preset;
@@ -213,6 +221,7 @@ Preset SmallPreset(bool unbounded) {
   train.density_l1_weight_later = 0;
   train.sparsity_weight = 1e-5;
   train.depth_weight = kDepthWeight;
+  train.camera_moments = kCameraMoments;
   train.step_voxels = unbounded ? std::vector{24, 48, 96, 192} : std::vector{16, 32, 64, 128};
   train.step_moments = {0.03, 0.06, 0.1};
   train.step_ratio = 1;
@@ -285,6 +294,17 @@ Decision FitCorrections(Preset& preset, const std::string& name, const Scene& sc
   Force(decision, forced);
   preset.field.corrected_views = decision.needed ? int(views.size()) : 0;
   return decision;
+}
+
+void FitCameras(Preset& preset, std::optional<bool> forced) {
+  TrainConfig& train = preset.train;
+  if (!forced) return;
+  if (*forced) {
+    if (train.camera_moments.empty()) train.camera_moments = kCameraMoments;
+    train.camera_least_px = 0;
+  } else {
+    train.camera_moments.clear();
+  }
 }
 
 Decision FitLevelsToViews(Preset& preset, const std::string& name, int n_train_views, std::optional<bool> forced) {

@@ -73,6 +73,13 @@ struct TrainConfig {
   int depth_rays = 64;
   double correction_weight = 1e-3;  // losses.h, of fields with corrected_views
 
+  // Cameras are corrected (camera_corrections.h) at these moments, by camera_pixels of each training view. At the first
+  // they are looked at: where that would move pictures by less than camera_least_px, in the median of the views, they
+  // stay as they are.
+  std::vector<double> camera_moments = {};
+  int camera_pixels = 200;  // fewer where there are many views
+  double camera_least_px = needs::kVisibleDisplacement_px;
+
   // Marching step = step_ratio · (volume of the box)^(1/3) / step_voxels[i]; i grows at each of step_moments. The box
   // of an unbounded scene is that of contracted space, of side 4.
   std::vector<int> step_voxels = {128, 152, 180, 213, 253, 300};
@@ -128,6 +135,10 @@ void ApplySettings(const std::string& settings, Preset& preset);
 // Gives every training view a colour correction where needs::ExposureCorrection says so; says what was decided. `paper`
 // keeps to the published method unless forced.
 Decision FitCorrections(Preset& preset, const std::string& name, const Scene& scene, std::optional<bool> forced = {});
+
+// Leaves out or forces the correction of cameras; `paper` corrects none unless forced. Whether a preset that may does
+// is decided when cameras are first looked at (needs::CameraCorrection).
+void FitCameras(Preset& preset, std::optional<bool> forced = {});
 
 // Sets depth_weight to 0 where the depths are not needed, to a value where they are forced and the preset has none;
 // says what was decided. Throws InputError when they are forced and there are none.

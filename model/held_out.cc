@@ -35,15 +35,18 @@ HeldOutViews::HeldOutViews(const Scene& scene, const ImagePack& pack, double bac
     const Tensor lattice = Lattice(view, pack.Pixels(view), kMostPixels);
     if (lattice.size(0) == 0) continue;
     views_.push_back(view);
+    pixels_.push_back(lattice);
     batches_.push_back(PixelSource({view}, pack, background).At(lattice));
   }
 }
 
-double HeldOutViews::Psnr(const Render& render) const {
+double HeldOutViews::Psnr(const Render& render, const std::function<View(const View&)>& corrected) const {
   const c10::NoGradGuard no_grad;
   double sum = 0;
   for (size_t i = 0; i < batches_.size(); ++i) {
-    const Tensor rgb = render(views_[i], batches_[i].rays).clamp(0, 1);
+    const View view = corrected ? corrected(views_[i]) : views_[i];
+    const Rays rays = corrected ? RaysThroughPixels({view}, pixels_[i], torch::kFloat) : batches_[i].rays;
+    const Tensor rgb = render(view, rays).clamp(0, 1);
     sum += -10 * std::log10(at::mse_loss(rgb, batches_[i].target).item<double>());
   }
   return sum / double(batches_.size());

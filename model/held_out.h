@@ -26,13 +26,15 @@ class HeldOutViews {
   bool empty() const { return batches_.empty(); }
   // render: rays of a view → their colours [n, 3].
   using Render = std::function<torch::Tensor(const View& view, const Rays& rays)>;
-  double Psnr(const Render& render) const;
+  // corrected: a view as it is rendered; null: as the scene has it.
+  double Psnr(const Render& render, const std::function<View(const View&)>& corrected = {}) const;
   // For facts.curve_protocol.
   std::string Protocol() const;
 
  private:
   std::vector<View> views_;
-  std::vector<PixelSource::Batch> batches_;  // of views_
+  std::vector<torch::Tensor> pixels_;  // of views_, for PixelSource::At
+  std::vector<PixelSource::Batch> batches_;
 };
 
 }  // namespace nrff

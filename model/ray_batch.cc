@@ -52,17 +52,35 @@ PixelSource::Batch PixelSource::Draw(int64_t n, uint64_t seed, uint64_t step) co
     const uint64_t drawn = UniformBelow(pixels_before_.back(), seed, stream, i);
     const auto after = std::upper_bound(pixels_before_.begin(), pixels_before_.end(), drawn);
     const auto view = int32_t(after - pixels_before_.begin()) - 1;
-    const auto within = int32_t(drawn - pixels_before_[view]);
-    out[3 * i] = view;
-    if (const View& of = views_[view]; of.masked) {
-      CountingPixel(pack_.Pixels(of), rows_before_.data() + first_row_[view], of.width, of.height, uint32_t(within),
-                    out + 3 * i + 1, out + 3 * i + 2);
-    } else {
-      out[3 * i + 1] = within % of.width;
-      out[3 * i + 2] = within / of.width;
-    }
+    Locate(view, drawn - pixels_before_[view], out + 3 * i);
   }
   return At(pixels);
+}
+
+Tensor PixelSource::DrawOfEachView(int64_t n_each, uint64_t seed, uint64_t counter) const {
+  const uint64_t stream = StreamAt(RandomStream::kCameraPixels, counter);
+  std::vector<int32_t> pixels;
+  for (size_t view = 0; view < views_.size(); ++view) {
+    const uint64_t n_counting = pixels_before_[view + 1] - pixels_before_[view];
+    for (int64_t i = 0; i < n_each && n_counting > 0; ++i) {
+      const uint64_t drawn = UniformBelow(n_counting, seed, stream, int64_t(view) * n_each + i);
+      pixels.resize(pixels.size() + 3);
+      Locate(int32_t(view), drawn, pixels.data() + pixels.size() - 3);
+    }
+  }
+  return at::tensor(pixels, torch::kInt).view({-1, 3});
+}
+
+void PixelSource::Locate(int32_t view, uint64_t within, int32_t* pixel) const {
+  const View& of = views_[view];
+  pixel[0] = view;
+  if (of.masked) {
+    CountingPixel(pack_.Pixels(of), rows_before_.data() + first_row_[view], of.width, of.height, uint32_t(within),
+                  pixel + 1, pixel + 2);
+  } else {
+    pixel[1] = int32_t(within % uint64_t(of.width));
+    pixel[2] = int32_t(within / uint64_t(of.width));
+  }
 }
 
 PixelSource::Batch PixelSource::At(const Tensor& pixels) const {

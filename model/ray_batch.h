@@ -4,6 +4,7 @@
 #include <torch/types.h>
 
 #include <cstdint>
+#include <utility>
 #include <vector>
 
 #include "pipeline/scene.h"
@@ -29,8 +30,15 @@ class PixelSource {
   // n pixels, uniform over all pixels that count of all views, from the stream (seed, kBatch at step).
   Batch Draw(int64_t n, uint64_t seed, uint64_t step) const;
 
+  // pixels [n_each · views, 3] for At: of each view with pixels that count, from the stream (seed, kCameraPixels at
+  // counter).
+  torch::Tensor DrawOfEachView(int64_t n_each, uint64_t seed, uint64_t counter) const;
+
   // pixels [n, 3] int32: (view, ix, iy).
   Batch At(const torch::Tensor& pixels) const;
+
+  // The same views with other cameras.
+  void MoveViews(std::vector<View> views) { views_ = std::move(views); }
 
   const std::vector<View>& views() const { return views_; }
   const ImagePack& pack() const { return pack_; }
@@ -40,6 +48,9 @@ class PixelSource {
   const std::vector<uint32_t>& rows_before() const { return rows_before_; }
 
  private:
+  // (view, ix, iy) of the pixel that is number `within` of those that count.
+  void Locate(int32_t view, uint64_t within, int32_t* pixel) const;
+
   std::vector<View> views_;
   const ImagePack& pack_;
   double background_;

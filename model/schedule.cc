@@ -28,6 +28,14 @@ double WeightThreshold(const TrainConfig& config, double progress) {
          std::pow(config.weight_threshold_last / config.weight_threshold_first, fraction);
 }
 
+double SettledProgress(const TrainConfig& config) {
+  double progress = std::max(0.5, config.weight_threshold_moment);
+  for (const auto* moments : {&config.step_moments, &config.occupancy_moments, &config.shrink_moments}) {
+    for (const double moment : *moments) progress = std::max(progress, moment);
+  }
+  return std::min(progress, 1.);
+}
+
 double CurveMoment(int index) {
   constexpr double kFirst = 0.01;
   return std::pow(kFirst, 1 - double(index) / (kCurvePoints - 1));

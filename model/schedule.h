@@ -25,6 +25,9 @@ double MarchingStep(const TrainConfig& config, int stage, const SceneMap& map);
 // RenderOptions::weight_threshold.
 double WeightThreshold(const TrainConfig& config, double progress);
 
+// Where all is behind that comes at a moment; half the way at the least. A training that extends another starts there.
+double SettledProgress(const TrainConfig& config);
+
 // Moments of the held-out curve: `n` fractions of the training, log-spaced up to 1.
 double CurveMoment(int index);
 inline constexpr int kCurvePoints = 10;

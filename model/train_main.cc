@@ -24,6 +24,8 @@ int main(int argc, char** argv) {
   what->require_option(1);
   what->add_option("--out", request.out, "where the artifact is put")->type_name("DIR")->needs(scene);
   what->add_flag("--probe", probe, "check the options, print what they mean as one JSON object, train nothing");
+  app.add_option("--base", request.base, "artifact of a training on fewer of the views, to go on from")
+      ->type_name("DIR");
   app.add_flag("--check", request.check, "end at the first number that is not finite and name it");
   app.add_option("--threads", request.n_threads, "threads; 0: one per core")->check(CLI::NonNegativeNumber);
 
@@ -53,6 +55,8 @@ int main(int argc, char** argv) {
   nrff::AddForcedOption(app, "--sparse-depth", request.sparse_depth, "on", "off", "learn from depths of sparse points");
   nrff::AddForcedOption(app, "--exposure-correction", request.exposure_correction, "on", "off",
                         "give training views colours of their own");
+  nrff::AddForcedOption(app, "--camera-correction", request.camera_correction, "on", "off",
+                        "correct cameras where photos and model disagree");
   app.add_option("--device", request.device, "where to compute")
       ->group(group)
       ->check(CLI::IsMember({"auto", "cpu", "cuda"}));

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "model/camera_corrections.h"
 #include "model/nrff_field.h"
 #include "pipeline/error.h"
 #include "render/occupancy_grid.h"
@@ -37,16 +38,20 @@ struct TrainState {
   OccupancyGrid occupancy;
   SceneMap map;
 
-  int64_t step = 0;                // also the counter of every random stream
-  int64_t n_rays = 0;              // of the next batch
-  int64_t samples = 0;             // density evaluations so far
-  double seconds = 0;              // spent in steps
-  double progress_at_reset = 0;    // when the learning rates last started anew
-  int step_stage = 0;              // index into TrainConfig::step_voxels
-  int occupancy_updates = 0;       // also the counter of their random streams
-  int occupancy_moments_done = 0;  // of TrainConfig::occupancy_moments
-  int shrink_moments_done = 0;     // of TrainConfig::shrink_moments
-  int64_t n_skipped = 0;           // steps left out for a non-finite loss or gradient
+  int64_t step = 0;                             // also the counter of every random stream
+  int64_t n_rays = 0;                           // of the next batch
+  int64_t samples = 0;                          // density evaluations so far
+  double seconds = 0;                           // spent in steps
+  double progress_at_reset = 0;                 // when the learning rates last started anew
+  int step_stage = 0;                           // index into TrainConfig::step_voxels
+  int occupancy_updates = 0;                    // also the counter of their random streams
+  int occupancy_moments_done = 0;               // of TrainConfig::occupancy_moments
+  int shrink_moments_done = 0;                  // of TrainConfig::shrink_moments
+  CameraCorrections cameras;                    // none before they were first looked at, or where they stay as they are
+  std::vector<double> camera_displacements_px;  // CameraUpdate::displacement_px of the last look
+  double camera_first_px = -1;                  // the median displacement at the first look; < 0: there was none yet
+  int camera_moments_done = 0;                  // of TrainConfig::camera_moments
+  int64_t n_skipped = 0;                        // steps left out for a non-finite loss or gradient
   int n_skipped_in_row = 0;
   double rate_scale = 1;  // of all learning rates: halved whenever training diverged
   int rollbacks = 0;      // times it went back to a checkpoint for that

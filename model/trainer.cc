@@ -8,10 +8,12 @@
 #include <optional>
 #include <utility>
 
+#include "model/camera_corrections.h"
 #include "model/kernels/adam.h"
 #include "model/schedule.h"
 #include "model/view_colours.h"
 #include "pipeline/error.h"
+#include "pipeline/files.h"
 #include "pipeline/log.h"
 #include "render/kernels/colour_correction.h"
 
@@ -24,6 +26,9 @@ constexpr double kMseMemory = 0.98;       // of the running mean of the batches'
 constexpr double kLeastShrinking = 0.95;  // a box whose volume shrinks less than to this stays as it is
 constexpr double kStray = 1e-3;           // of the occupied cells: less that hangs together does not hold the box open
 constexpr int64_t kFewestRays = 64;
+// Looks at the cameras: of all views together, of each, and how much less of a step each makes than the one before.
+constexpr int kMostSightings = 20000, kFewestSightings = 40;
+constexpr double kLossOfGain = 0.5, kLeastGain = 0.2;
 
 std::vector<View> TrainingViews(const Scene& scene) {
   std::vector<View> views;
@@ -68,6 +73,7 @@ Trainer::Trainer(const Scene& scene, const ImagePack& pack, const std::vector<Sp
       preset_(preset),
       options_(options),
       pixels_(TrainingViews(scene), pack, BackgroundLevel(scene, preset.train.unknown_background)),
+      training_views_(pixels_.views()),
       depths_(scene, depths),
       background_(BackgroundLevel(scene, preset.train.unknown_background)),
       state_(preset.field, preset.train.occupancy_resolution,
@@ -93,10 +99,36 @@ void Trainer::StartCorrections() {
   }
 }
 
+void Trainer::Extend(const std::filesystem::path& checkpoint_dir, const BaseTraining& base,
+                     const std::vector<std::string>& views) {
+  LoadBase(checkpoint_dir, state_);
+  progress_from_ = SettledProgress(preset_.train);
+  if (preset_.field.corrected_views > 0 && !base.corrections.empty()) {
+    if (base.corrections.size() != views.size() * size_t{kCorrectionParameters}) {
+      throw CorruptError(EscapePath(checkpoint_dir) + " has corrections of other views than it names");
+    }
+    const c10::NoGradGuard no_grad;
+    auto* correction = state_.field.colour_corrections().mutable_data_ptr<float>();
+    for (const View& view : pixels_.views()) {
+      const auto before = std::find(views.begin(), views.end(), view.id);
+      if (before != views.end()) {
+        const float* values = base.corrections.data() + (before - views.begin()) * kCorrectionParameters;
+        std::copy_n(values, size_t{kCorrectionParameters}, correction);
+      }
+      correction += kCorrectionParameters;
+    }
+  }
+  if (!state_.cameras.poses.empty()) state_.cameras = state_.cameras.Of(training_views_);
+  StateChanged();
+  UpdateOccupancy(/*all_cells=*/true);  // also what added views are the first to see
+}
+
 double Trainer::Progress() const {
   return options_.budget_seconds > 0 ? state_.seconds / options_.budget_seconds
                                      : double(state_.step) / double(preset_.train.steps);
 }
+
+double Trainer::ScheduleProgress() const { return progress_from_ + (1 - progress_from_) * Progress(); }
 
 bool Trainer::Done() const {
   if (options_.budget_seconds <= 0) return Progress() >= 1;
@@ -108,27 +140,28 @@ RenderOptions Trainer::EvaluationOptions() const {
   options.step = MarchingStep(preset_.train, state_.step_stage, state_.map);
   options.near = scene_.near;
   options.far = scene_.far;
-  options.weight_threshold = WeightThreshold(preset_.train, Progress());
+  options.weight_threshold = WeightThreshold(preset_.train, ScheduleProgress());
   options.stop_transmittance = options.weight_threshold;
   options.background = background_;
   return options;
 }
 
+RenderedImage Trainer::Show(const Rays& rays) {
+  const RenderOptions options = EvaluationOptions();
+  return gpu_ ? gpu_->RenderImage(state_, rays, options)
+              : RenderRayImage(state_.field, state_.occupancy, state_.map, rays, options);
+}
+
 Tensor Trainer::RenderMean(const View& view, const Rays& rays) {
   const c10::NoGradGuard no_grad;
-  const RenderOptions options = EvaluationOptions();
   state_.SwapAverage();
-  const RenderResult result = gpu_ ? gpu_->Render(state_, rays, options)
-                                   : RenderRays(state_.field, state_.occupancy, state_.map, rays, options);
-  Tensor rgb = result.rgb.contiguous();
+  RenderedImage image = Show(rays);
   const ViewColours colours(state_.field, pixels_.views());
-  if (!colours.empty()) {
-    CorrectColours(colours.Of(view), background_, rgb.size(0), result.opacity.contiguous().const_data_ptr<float>(),
-                   rgb.mutable_data_ptr<float>());
-  }
+  if (!colours.empty())
+    CorrectColours(colours.Of(view), background_, image.width, image.opacity.data(), image.rgb.data());
   state_.SwapAverage();
   if (gpu_) gpu_->UploadParameters(state_);
-  return rgb;
+  return at::tensor(image.rgb).view({-1, 3});
 }
 
 double Trainer::TrainPsnr() const { return -10 * std::log10(state_.train_mse < 0 ? NAN : state_.train_mse); }
@@ -151,6 +184,53 @@ void Trainer::UpdateOccupancy(bool all_cells) {
     state_.occupancy.Update(state_.field, options);
   }
   ++state_.occupancy_updates;
+}
+
+void Trainer::MoveCameras() {
+  std::vector<View> views;
+  for (const View& view : training_views_) views.push_back(state_.cameras.Corrected(view));
+  pixels_.MoveViews(std::move(views));
+  if (gpu_) gpu_->SetViews(pixels_);
+}
+
+RenderedImage Trainer::RenderTraining(const Rays& rays, const Tensor& view) {
+  const c10::NoGradGuard no_grad;
+  RenderedImage image = Show(rays);
+  const ViewColours colours(state_.field, pixels_.views());
+  if (colours.empty()) return image;
+  const auto* of = view.const_data_ptr<int32_t>();
+  const int64_t n = view.size(0);
+  for (int64_t first = 0, end = 0; first < n; first = end) {
+    while (end < n && of[end] == of[first]) ++end;
+    CorrectColours(colours.Of(pixels_.views()[size_t(of[first])]), background_, end - first,
+                   image.opacity.data() + first, image.rgb.data() + 3 * first);
+  }
+  return image;
+}
+
+void Trainer::CorrectCameras() {
+  const TrainConfig& config = preset_.train;
+  const bool first = state_.camera_first_px < 0;
+  if (!first && state_.cameras.poses.empty()) return;  // they stay
+  Download();
+  const CameraUpdate update =
+      UpdateCameras(pixels_, training_views_, first ? CameraCorrections::None(training_views_) : state_.cameras,
+                    [&](const Rays& rays, const Tensor& view) { return RenderTraining(rays, view); },
+                    {.n_pixels = std::max(kFewestSightings,
+                                          std::min(config.camera_pixels, kMostSightings / int(training_views_.size()))),
+                     .gain = std::max(kLeastGain, 1 / (1 + kLossOfGain * state_.camera_moments_done)),
+                     .seed = options_.seed,
+                     .counter = uint64_t(state_.camera_moments_done)});
+  if (first) {
+    std::vector<double> sorted = update.displacement_px;
+    const auto median = sorted.begin() + std::ptrdiff_t(sorted.size() / 2);
+    std::nth_element(sorted.begin(), median, sorted.end());
+    state_.camera_first_px = *median;
+    if (*median < config.camera_least_px) return;
+  }
+  state_.cameras = update.corrections;
+  state_.camera_displacements_px = update.displacement_px;
+  MoveCameras();
 }
 
 void Trainer::Shrink() {
@@ -189,6 +269,9 @@ void Trainer::FollowSchedule(double progress) {
     if (state_.occupancy_moments_done < n_due) UpdateOccupancy(/*all_cells=*/true);
     state_.occupancy_moments_done = n_due;
   }
+  const int n_looks = MomentsBehind(config.camera_moments, progress);
+  if (state_.camera_moments_done < n_looks) CorrectCameras();
+  state_.camera_moments_done = n_looks;
   if (!scene_.unbounded && state_.occupancy_updates > 0) {
     const int n_due = MomentsBehind(config.shrink_moments, progress);
     if (state_.shrink_moments_done < n_due) Shrink();
@@ -199,7 +282,7 @@ void Trainer::FollowSchedule(double progress) {
 void Trainer::Step() {
   const auto start = std::chrono::steady_clock::now();
   const TrainConfig& config = preset_.train;
-  const double progress = Progress();
+  const double progress = ScheduleProgress();
   FollowSchedule(progress);
   RenderOptions options = EvaluationOptions();
   options.jitter = {options_.seed, uint64_t(state_.step)};
@@ -235,7 +318,7 @@ void Trainer::StepOnCpu(double progress, const RenderOptions& options, const Los
   const std::string not_finite = NotFinite(result);
   if (not_finite.empty()) {
     Optimise(progress);
-    if (AveragesAt(progress)) state_.AddToAverage();
+    if (AveragesNow()) state_.AddToAverage();
   }
   Account({result, state_.step, state_.n_rays, not_finite});
 }
@@ -246,7 +329,7 @@ void Trainer::StepOnGpu(double progress, const RenderOptions& options, const Los
   const GpuTraining::Batch batch{state_.n_rays, weights.depth > 0 ? preset_.train.depth_rays : 0, options_.seed,
                                  uint64_t(state_.step)};
   const auto found = gpu_->Step(batch, state_.map, options, weights, preset_.train, Rates(progress));
-  if (AveragesAt(progress)) gpu_->AddToAverage(++state_.n_averaged);
+  if (AveragesNow()) gpu_->AddToAverage(++state_.n_averaged);
   if (found) Account(*found);
 }
 
@@ -292,8 +375,8 @@ void Trainer::Account(const Found& found) {
   state_.samples += found.result.n_samples;
 }
 
-bool Trainer::AveragesAt(double progress) const {
-  return progress >= preset_.train.average_from && state_.step % preset_.train.average_interval == 0;
+bool Trainer::AveragesNow() const {
+  return Progress() >= preset_.train.average_from && state_.step % preset_.train.average_interval == 0;
 }
 
 void Trainer::Sync() {
@@ -311,6 +394,7 @@ void Trainer::Settle() {
 }
 
 void Trainer::StateChanged() {
+  MoveCameras();
   if (!gpu_) return;
   gpu_->Finish();  // of the state that is gone
   gpu_->Upload(state_);

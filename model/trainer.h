@@ -6,10 +6,12 @@
 #pragma once
 
 #include <cstdint>
+#include <filesystem>
 #include <memory>
 #include <string>
 #include <vector>
 
+#include "model/base_training.h"
 #include "model/config.h"
 #include "model/cuda/gpu_training.h"
 #include "model/depth_batch.h"
@@ -18,6 +20,7 @@
 #include "model/training_step.h"
 #include "pipeline/json.h"
 #include "pipeline/scene.h"
+#include "render/image_renderer.h"
 
 namespace nrff {
 
@@ -36,7 +39,13 @@ class Trainer {
   Trainer(const Scene& scene, const ImagePack& pack, const std::vector<SparseDepth>& depths, const Preset& preset,
           const TrainOptions& options);
 
-  // 0 to 1.
+  // Goes on from another training, of fewer of the views; before the first step, and never with another scene's frame.
+  // `views`: ids of its training views, in the order of its corrections; views that it had no correction of start with
+  // their gain. The schedule begins where all its changes are behind (SettledProgress).
+  void Extend(const std::filesystem::path& checkpoint_dir, const BaseTraining& base,
+              const std::vector<std::string>& views);
+
+  // Of this training, 0 to 1.
   double Progress() const;
   // With a budget: when another step would end farther from it than this one did. There is one step at least.
   bool Done() const;
@@ -54,6 +63,8 @@ class Trainer {
   TrainState& state() { return state_; }
   const TrainState& state() const { return state_; }
   const Preset& preset() const { return preset_; }
+  // Of the scene, as its camera is corrected.
+  View Corrected(const View& view) const { return state_.cameras.Corrected(view); }
 
   // How images of the present model are rendered.
   RenderOptions EvaluationOptions() const;
@@ -81,6 +92,7 @@ class Trainer {
   };
   // Of the views' colours: from the gains that the scene gives.
   void StartCorrections();
+  double ScheduleProgress() const;
   void FollowSchedule(double progress);
   void ResetAdam();
   void Settle();    // accounts for all steps that were queued
@@ -89,8 +101,16 @@ class Trainer {
   void StepOnGpu(double progress, const RenderOptions& options, const LossWeights& weights);
   void Account(const GpuTraining::Found& found);
   void Account(const Found& found);
-  bool AveragesAt(double progress) const;
+  bool AveragesNow() const;
   void UpdateOccupancy(bool all_cells);
+  // The training views' as the state has them corrected.
+  void MoveCameras();
+  // Corrects them once more, or finds at the first look that they stay.
+  void CorrectCameras();
+  // By the parameters that the state has.
+  RenderedImage Show(const Rays& rays);
+  // In the exposure of each ray's training view, view [n] int32.
+  RenderedImage RenderTraining(const Rays& rays, const torch::Tensor& view);
   void Shrink();
   // What of the CPU's step is not finite, if anything.
   std::string NotFinite(const TrainingStep::Result& result) const;
@@ -104,11 +124,13 @@ class Trainer {
   Preset preset_;
   TrainOptions options_;
   PixelSource pixels_;
+  std::vector<View> training_views_;  // as the scene has them
   DepthSource depths_;
   double background_;
   TrainState state_;
-  double step_seconds_ = 0;  // of the last step
-  TrainingStep step_;        // of state_.field
+  double progress_from_ = 0;  // where the schedule begins: Extend
+  double step_seconds_ = 0;   // of the last step
+  TrainingStep step_;         // of state_.field
   std::unique_ptr<GpuTraining> gpu_;
 };
 

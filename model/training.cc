@@ -14,6 +14,7 @@
 #include "model/schedule.h"
 #include "model/trainer.h"
 #include "pipeline/error.h"
+#include "pipeline/extension.h"
 #include "pipeline/files.h"
 #include "pipeline/log.h"
 #include "pipeline/progress.h"
@@ -68,17 +69,84 @@ Preset ChoosePreset(const TrainingRequest& request, const std::string& name, con
   const int n_views = int(scene.ViewsOf(Split::kTrain).size());
   decisions.push_back(FitCorrections(preset, name, scene, request.exposure_correction));
   decisions.push_back(FitDepths(preset, n_depths, scene.unbounded, request.sparse_depth));
+  FitCameras(preset, request.camera_correction);
   decisions.push_back(FitLevelsToViews(preset, name, n_views, request.fine_levels));
   return preset;
 }
 
-// All that decides what training computes.
-Json Settings(const TrainingRequest& request, const std::string& name, const Preset& preset) {
+// What of Settings is the scene's.
+constexpr const char *kFrameKey = "frame", *kViewsKey = "views";
+
+// All that decides what training computes, beside the pixels.
+Json Settings(const TrainingRequest& request, const std::string& name, const Preset& preset, const Scene& scene) {
+  Json views = Json::array();
+  for (const int i : scene.ViewsOf(Split::kTrain)) views.push_back(scene.views[size_t(i)].id);
   return {{"preset", name},
           {"field", ToJson(preset.field)},
           {"train", ToJson(preset.train)},
           {"budget_seconds", request.budget_seconds},
-          {"seed", request.seed}};
+          {"seed", request.seed},
+          {kFrameKey,
+           {{"scene_from_world", scene.scene_from_world},
+            {"unbounded", scene.unbounded},
+            {"aabb_min", scene.aabb_min},
+            {"aabb_max", scene.aabb_max}}},
+          {kViewsKey, std::move(views)}};
+}
+
+// A training on fewer of the views.
+struct Base {
+  BaseTraining training;
+  Json settings;
+  std::vector<std::string> views;  // ids
+};
+
+std::optional<Base> ReadBase(const std::filesystem::path& dir) {
+  if (dir.empty()) return {};
+  Base base{ReadBaseTraining(dir), {}, {}};
+  const std::string where = EscapePath(dir / kCheckpointFile);
+  try {
+    base.settings = ParseJson(base.training.settings);
+  } catch (const JsonSyntaxError& error) {
+    throw CorruptError(where + ": the settings are not JSON (" + error.what() + ")");
+  }
+  base.views = Get<std::vector<std::string>>(base.settings, kViewsKey, where);
+  return base;
+}
+
+// The first value of `group` that is another now; empty where all that matter are the same.
+std::string FirstDifference(const Json& before, const Json& now, const std::string& group,
+                            const std::function<bool(const std::string&)>& matters) {
+  for (const auto& [key, value] : now.at(group).items()) {
+    const Json had = before.at(group).value(key, Json());
+    if (matters(key) && had != value) return group + "." + key + " is " + value.dump() + ", it was " + had.dump();
+  }
+  return {};
+}
+
+// Why a model trained with the settings `before` is none to go on from with those of `now`; empty where it is one.
+std::string WhyAnew(const Json& before, const Json& now) {
+  if (before.at("preset") != now.at("preset")) {
+    return "its preset is " + before.at("preset").get<std::string>() + ", now it is " +
+           now.at("preset").get<std::string>();
+  }
+  const auto field = [](const std::string& key) { return key != "corrected_views"; };
+  const auto state = [](const std::string& key) {
+    return key == "occupancy_resolution" || key == "step_voxels" || key == "unknown_background";
+  };
+  std::string difference = FirstDifference(before, now, "field", field);
+  if (difference.empty()) difference = FirstDifference(before, now, "train", state);
+  if (difference.empty() && before.at(kFrameKey) != now.at(kFrameKey)) difference = "it lies in another frame";
+  return difference;
+}
+
+size_t NumAdded(const Base& base, const Json& settings) {
+  size_t n_added = 0;
+  for (const Json& id : settings.at(kViewsKey)) {
+    const auto& views = base.views;
+    n_added += std::find(views.begin(), views.end(), id.get<std::string>()) == views.end() ? 1 : 0;
+  }
+  return n_added;
 }
 
 // Goes on from the checkpoint in `dir` where there is one that can be used; tells why not where there is not.
@@ -132,7 +200,8 @@ void Evaluate(const HeldOutViews& held_out, Trainer& trainer) {
   TrainState& state = trainer.state();
   const auto start = Clock::now();
   trainer.Sync();
-  const double psnr = held_out.Psnr([&](const View& view, const Rays& rays) { return trainer.RenderMean(view, rays); });
+  const double psnr = held_out.Psnr([&](const View& view, const Rays& rays) { return trainer.RenderMean(view, rays); },
+                                    [&](const View& view) { return trainer.Corrected(view); });
   if (std::isnan(psnr) || std::isnan(trainer.TrainPsnr())) {
     throw TrainingDiverged(std::string("the model shows colours that are no numbers in ") +
                            (std::isnan(psnr) ? "held-out views" : "every training batch") + " by step " +
@@ -229,6 +298,14 @@ Json Curve(const TrainState& state) {
   return curve;
 }
 
+// Of the pictures by the corrections, px: {"median", "largest"}, or null where cameras stayed as they were.
+Json CameraDisplacement(const TrainState& state) {
+  std::vector<double> sorted = state.camera_displacements_px;
+  if (sorted.empty()) return {};
+  std::sort(sorted.begin(), sorted.end());
+  return {{"median", sorted[sorted.size() / 2]}, {"largest", sorted.back()}};
+}
+
 }  // namespace
 
 Json DescribeTraining(const TrainingRequest& request) {
@@ -266,23 +343,49 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
   const TrainOptions options{
       .budget_seconds = request.budget_seconds, .seed = request.seed, .check = request.check, .gpu = device.gpu};
 
-  ArtifactWriter artifact("train", request.out, params, {ArtifactInput(request.scene_dir, scene_manifest)},
-                          ArtifactWriter::kKeepPartial);
+  std::vector<HashedPath> inputs = {ArtifactInput(request.scene_dir, scene_manifest)};
+  if (!request.base.empty()) inputs.push_back(BaseInput(request.base));
+  ArtifactWriter artifact("train", request.out, params, inputs, ArtifactWriter::kKeepPartial);
   artifact.SaveSeconds();
   std::optional<Trainer> trainer;
-  std::string name = FirstPreset(request.preset);
+  std::optional<Base> base = ReadBase(request.base);
+  std::string name = base && request.preset == kAutoPreset ? base->settings.at("preset").get<std::string>()
+                                                           : FirstPreset(request.preset);
   Preset preset;
-  Json settings;
+  Json settings, extended;
   std::vector<Decision> decisions;
+  std::string why_anew;
   const auto start_anew = [&] {
     decisions = {device.decision};
     preset = ChoosePreset(request, name, scene, depths.size(), decisions);
-    settings = Settings(request, name, preset);
-    trainer.emplace(scene, pack, depths, preset, options);
+    settings = Settings(request, name, preset, scene);
+    TrainOptions own = options;
+    if (base && why_anew.empty()) why_anew = WhyAnew(base->settings, settings);
+    const size_t n_added = base ? NumAdded(*base, settings) : 0;
+    const double share = base && why_anew.empty() ? needs::TrainingShare(settings.at(kViewsKey).size(), n_added) : 1;
+    if (base) decisions.push_back(needs::TrainingAnew(why_anew, share));
+    if (share < 1) {
+      preset.train.steps = std::max<int64_t>(1, std::llround(share * double(preset.train.steps)));
+      own.budget_seconds *= share;
+      settings["train"] = ToJson(preset.train);
+    }
+    trainer.emplace(scene, pack, depths, preset, own);
+    extended = nullptr;
+    if (!base || !why_anew.empty()) return;
+    trainer->Extend(request.base, base->training, base->views);
+    extended = {{"steps_before", base->training.steps}, {"n_views_added", n_added}, {"share", share}};
+    settings["extended"] = extended;
   };
   start_anew();
+  if (base && !why_anew.empty()) {
+    LogWarning("training starts anew: " + why_anew);
+    if (ChoosesBySpeed(request) && name != FirstPreset(request.preset)) {
+      name = FirstPreset(request.preset);
+      start_anew();
+    }
+  }
   std::optional<Decision> small_model;
-  if (ChoosesBySpeed(request)) {
+  if (ChoosesBySpeed(request) && extended.is_null()) {
     small_model = artifact.resumed() ? ReadChoice(artifact.dir()) : std::nullopt;
     const bool measured = !small_model;
     if (measured) small_model = MeasureSmall(*trainer, scene.unbounded, request.budget_seconds);
@@ -300,6 +403,8 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
   TrainToTheEnd(*trainer, held_out, settings.dump(), request.check, artifact);
 
   TrainState& state = trainer->state();
+  Json told = settings;
+  for (const char* key : {kFrameKey, kViewsKey, "extended"}) told.erase(key);
   state.SwapAverage();
   SaveModel(artifact.dir(), state, trainer->EvaluationOptions());
   state.SwapAverage();
@@ -307,13 +412,15 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
   artifact.facts() = {{"steps", state.step},
                       {"samples", state.samples},
                       {"preset", name},
-                      {"settings", settings},
+                      {"settings", told},
+                      {"extended", extended},
                       {"curve", Curve(state)},
                       {"curve_protocol", held_out.Protocol()},
                       {"train_psnr", trainer->TrainPsnr()},
                       {"seconds_training", state.seconds},
                       {"seconds_evaluating", state.seconds_evaluating},
                       {"steps_per_second", double(state.step) / state.seconds},
+                      {"camera_displacement_px", CameraDisplacement(state)},
                       {"steps_skipped", state.n_skipped},
                       {"rollbacks", state.rollbacks},
                       {"device", device.gpu ? "cuda" : "cpu"},
@@ -321,6 +428,14 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
                       {"n_parameters", state.field.n_parameters()},
                       {"occupied_fraction", state.occupancy.OccupiedFraction()},
                       {"resumed", state.resumed}};
+  Decision camera_correction =
+      needs::CameraCorrection(state.camera_first_px < 0 ? std::nullopt : std::optional(state.camera_first_px));
+  Force(camera_correction, request.camera_correction);
+  decisions.push_back(camera_correction);
+  if (!state.cameras.poses.empty()) {
+    WriteJson(artifact.dir() / kCamerasFile, CorrectedCamerasJson(scene, state.cameras, state.camera_displacements_px));
+    artifact.AddOutput(kCamerasFile);
+  }
   if (small_model) decisions.push_back(*small_model);
   for (const Decision& decision : decisions) artifact.AddDecision(decision);
   artifact.AddOutput(kModelFile);

@@ -35,7 +35,8 @@ constexpr Forceable kForceable[] = {{"exhaustive_matching", "sfm", "matching", "
                                     {"contraction", "pose", "contraction", "on", "off"},
                                     {"sparse_depth", "train", "sparse-depth", "on", "off"},
                                     {"fine_levels", "train", "fine-levels", "on", "off"},
-                                    {"exposure_correction", "train", "exposure-correction", "on", "off"}};
+                                    {"exposure_correction", "train", "exposure-correction", "on", "off"},
+                                    {"camera_correction", "train", "camera-correction", "on", "off"}};
 
 // The form alone: what keys there are, the training program knows.
 std::string CheckSettings(const std::string& text) {
@@ -283,6 +284,19 @@ Json Probe(Executor& executor, std::vector<std::string> command) {
 
 Json ProbeCapture(Executor& executor, const BranchRequest& request) {
   return Probe(executor, {(request.executables / "nrff-ingest").string(), request.capture.string()});
+}
+
+Json ProbeExtension(Executor& executor, const BranchRequest& request) {
+  Json extension = {{"extension", nullptr}, {"why_anew", nullptr}};
+  if (request.from == StageNames().front() || ExtendableStages(request.workspace).empty()) return extension;
+  const std::string ingest = request.workspace.Artifact("ingest").string();
+  const std::optional<Manifest> made = ReadManifest(ingest);
+  if (!made || made->inputs.empty() || made->facts.value("n_videos", 0) > 0) return extension;  // never extended
+  if (made->inputs.front().hash == HashTree(request.capture)) return extension;
+  const Json facts =
+      Probe(executor, {(request.executables / "nrff-ingest").string(), request.capture.string(), "--base", ingest});
+  for (auto& [key, value] : extension.items()) value = facts.value(key, Json());
+  return extension;
 }
 
 Json ProbeTraining(Executor& executor, const BranchRequest& request) {

@@ -16,8 +16,8 @@ namespace nrff {
 // The options of `nrff run` and `nrff plan` that say what is to be made.
 struct BranchOptions {
   std::vector<std::string> targets;  // captures or workspaces
-  std::string workspace, budget, preset, set, directional, steps, frames, masks, max_image_size, bit_depth, lpips, device,
-      threads, seed, from;
+  std::string workspace, budget, preset, set, directional, steps, frames, masks, max_image_size, bit_depth, lpips,
+      device, threads, seed, from;
   std::string until;
   std::vector<std::string> need, leave_out;  // features whose decision is forced
   bool force = false;
@@ -30,7 +30,8 @@ void AddTargetOption(CLI::App& command, BranchOptions& options);
 void AddBranchOptions(CLI::App& command, BranchOptions& options);
 // A line for the foot of their help.
 inline constexpr char kFeaturesHelp[] =
-    "FEATURE: exhaustive_matching undistortion contraction sparse_depth\n  fine_levels exposure_correction\n";
+    "FEATURE: exhaustive_matching undistortion contraction sparse_depth\n  fine_levels exposure_correction "
+    "camera_correction\n";
 
 // One request per target. A target that is a workspace stands for its capture with the options of its last run, where
 // none are given now. Nothing is written. Throws UsageError, InputError.
@@ -45,6 +46,11 @@ Json JsonFrom(Executor& executor, std::vector<std::string> command);
 // What ingest says of a capture without making anything: {"kind", "posed", "n_images", …}. Throws Error with ingest's
 // own sentence and exit code.
 Json ProbeCapture(Executor& executor, const BranchRequest& request);
+
+// Whether photos were added to the capture since the workspace's stages were made, and nothing else changed that they
+// depend on: {"extension": {"n_earlier", "n_added"} or null, "why_anew": why it is null, or null}, both null where the
+// capture is as it was, or everything is asked to run again. Nothing is written. Throws as ProbeCapture.
+Json ProbeExtension(Executor& executor, const BranchRequest& request);
 
 // What the options mean to the training program, which is the one that knows presets, settings and devices (nrff-train
 // --probe): {"preset", "device", "steps", "budget_seconds", "decisions", …}. Throws Error with that program's own

@@ -116,9 +116,8 @@ Command AddRunCommand(CLI::App& app) {
   command->add_flag("--dry-run", options->dry_run, "Say what would run, as `nrff plan`");
   AddVerbosityOptions(*command, options->output);
   AddJsonOption(*command, options->output);
-  command->footer(
-      "Killed at any moment, the same command goes on. Several share a joint report.\n" +
-      std::string(kFeaturesHelp) + "Example: nrff run castle/ --budget 10m");
+  command->footer("Killed at any moment, the same command goes on. Several share a joint report.\n" +
+                  std::string(kFeaturesHelp) + "Example: nrff run castle/ --budget 10m");
   return {command, [options] { Run(options->branch, options->dry_run, options->output); }};
 }
 

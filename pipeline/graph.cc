@@ -53,20 +53,25 @@ const std::string& Graph::SourceHash(const std::filesystem::path& source) {
 std::string Graph::WhyInputsDiffer(const Node& node, const Manifest& manifest) {
   // Artifacts are known by content alone, so that a workspace can be moved; a capture also by its place, since the
   // artifacts made from it name it.
+  std::multiset<std::string> recorded;
+  for (const HashedPath& input : manifest.inputs) recorded.insert(input.hash);
   if (!node.source.empty()) {
-    if (manifest.inputs.size() != 1) return "does not name the one capture it was made from";
-    const HashedPath& recorded = manifest.inputs.front();
+    if (manifest.inputs.empty()) return "does not name the capture it was made from";
+    const HashedPath& capture = manifest.inputs.front();
     const std::string path = EscapePath(node.source);
-    if (recorded.path != path) return "was made from " + recorded.path + ", now it is " + path;
+    if (capture.path != path) return "was made from " + capture.path + ", now it is " + path;
     try {
-      if (recorded.hash != SourceHash(node.source)) return "was made before files in the capture changed";
+      if (capture.hash != SourceHash(node.source)) return "was made before files in the capture changed";
     } catch (const Error& error) {
       return std::string("cannot be compared with its capture: ") + error.what();
     }
-    return {};
+    recorded.erase(recorded.find(capture.hash));
   }
-  std::multiset<std::string> recorded;
-  for (const HashedPath& input : manifest.inputs) recorded.insert(input.hash);
+  for (const std::filesystem::path& base : node.bases) {
+    const auto found = recorded.find(SourceHash(base));
+    if (found == recorded.end()) return "does not extend what there was of fewer photos";
+    recorded.erase(found);
+  }
   for (const std::string& input : node.inputs) {
     const Node& producer = nodes_[index_.at(input)];
     const ArtifactState& state = Artifact(producer);

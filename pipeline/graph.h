@@ -29,12 +29,13 @@ enum class When {
 struct Node {
   std::string branch;  // the capture's name, unique in the graph
   std::string stage;
-  std::filesystem::path artifact;    // the directory it makes
-  std::vector<std::string> command;  // program and arguments
-  Params params;                     // what the manifest has to record
-  std::vector<std::string> inputs;   // ids of nodes, added before this one
-  std::filesystem::path source;      // the capture, for the node that reads it; else empty
-  std::filesystem::path log;         // where what it prints is kept
+  std::filesystem::path artifact;            // the directory it makes
+  std::vector<std::string> command;          // program and arguments
+  Params params;                             // what the manifest has to record
+  std::vector<std::string> inputs;           // ids of nodes, added before this one
+  std::filesystem::path source;              // the capture, for the node that reads it; else empty
+  std::vector<std::filesystem::path> bases;  // of an earlier run, taken over: no node makes them, all files count
+  std::filesystem::path log;                 // where what it prints is kept
   When when = When::kIfStale;
   int cores = 1;              // that it keeps busy
   uint64_t memory_bytes = 0;  // that it may need

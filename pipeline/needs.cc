@@ -91,6 +91,42 @@ Decision GpsPairs(std::optional<double> spread_m) {
                       : "the positions' errors are as large as their differences"};
 }
 
+Decision SecondAttempt(int n_images, int n_registered, int n_groups, int n_in_groups, int n_holding_pairs) {
+  const auto enough = [&](int n) { return n >= kEnoughPlaced * n_images; };
+  const bool apart = n_groups > 1 && n_holding_pairs == 0 && enough(n_in_groups);
+  Decision decision{"second_attempt", !enough(n_registered) && !apart,
+                    std::to_string(n_registered) + " of " + std::to_string(n_images) + " photos placed", "80 %", ""};
+  if (n_groups > 1) {
+    decision.evidence += ", " + std::to_string(n_in_groups) + " in " + std::to_string(n_groups) + " groups with " +
+                         std::to_string(n_holding_pairs) + " pairs that hold between them";
+    decision.threshold += ", or 80 % in groups without such pairs";
+  }
+  decision.reason = decision.needed        ? "more pixels and features may place more"
+                    : enough(n_registered) ? "enough are placed"
+                                           : "the groups are sound and share nothing: they show different things";
+  return decision;
+}
+
+Decision RicherLens(const std::string& model, double error_px, const std::string& richer, double richer_error_px) {
+  const bool needed = richer_error_px <= 0.97 * error_px;
+  return {"richer_lens", needed,
+          Format("observations held out are %.4f px off with ", error_px) + model +
+              Format(", %.4f with ", richer_error_px) + richer,
+          "3 % less",
+          needed ? richer + " describes the lens better" : model + " describes the lens as well as " + richer};
+}
+
+Decision Fisheye(int n_placed, size_t n_observations, int n_placed_as_fisheye, size_t n_observations_as_fisheye) {
+  const bool needed = n_placed_as_fisheye > 0 && n_placed_as_fisheye >= n_placed &&
+                      double(n_observations_as_fisheye) >= 1.1 * double(n_observations);
+  return {"fisheye", needed,
+          std::to_string(n_placed_as_fisheye) + " photos with " + std::to_string(n_observations_as_fisheye) +
+              " observations placed as a fisheye's, " + std::to_string(n_placed) + " with " +
+              std::to_string(n_observations) + " as a simple lens's",
+          "as many photos and 10 % more observations",
+          needed ? "a fisheye explains more of what was matched" : "a fisheye explains no more of what was matched"};
+}
+
 int FinestResolution(int n_train_views, bool sparse_depth) {
   if (sparse_depth || n_train_views >= 32) return 256;
   return n_train_views < 16 ? 64 : 128;
@@ -129,6 +165,17 @@ Decision ExposureCorrection(double spread_ev, bool unbounded) {
           needed   ? "one colour of a point cannot fit all photos"
           : differ ? "an object turned before its light changes its colours, too"
                    : "the photos agree, or have neither points nor EXIF to tell by"};
+}
+
+Decision CameraCorrection(std::optional<double> displacement_px) {
+  const bool needed = displacement_px && *displacement_px >= kVisibleDisplacement_px;
+  return {"camera_correction", needed,
+          displacement_px ? Format("corrected cameras would move pictures by %.2f px", *displacement_px)
+                          : "the preset looks at no cameras",
+          Format("%.1f px in the median of the training views", kVisibleDisplacement_px),
+          needed            ? "photos and model disagree about where the cameras are"
+          : displacement_px ? "the poses are as good as the young model can tell"
+                            : "it keeps the poses as they are"};
 }
 
 Decision SmallModel(double steps_per_second, double budget_seconds, bool unbounded) {

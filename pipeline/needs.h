@@ -44,9 +44,28 @@ Decision Contraction(bool box_given, bool has_alpha, std::optional<double> backg
 // photos: ten alike hold 97 % and more of each photo's five best partners (tests/bench/results/first_look.md).
 Decision ExhaustiveMatching(int n_images, bool ordered);
 
-// Pairs of photos taken near each other are matched, too, where all of them say where they were taken, and the places lie
-// further apart (root mean square from their mean) than satellites' errors of some 5 m can make it seem.
+// Pairs of photos taken near each other are matched, too, where all of them say where they were taken, and the places
+// lie further apart (root mean square from their mean) than satellites' errors of some 5 m can make it seem.
 Decision GpsPairs(std::optional<double> spread_m);
+
+// A second attempt at poses, with larger photos and more features, is made where less than 80 % of the photos could be
+// placed; but not where they fell into groups that together take in so many and no pair of photos holds two of these
+// together: as two captures in one folder do (fox and maryrose, tests/bench/results/hard_captures.md). Groups of one
+// scene that hardly overlap end so, too; photos in between, which the user is told to add, join them more surely.
+inline constexpr double kEnoughPlaced = 0.8;
+Decision SecondAttempt(int n_images, int n_registered, int n_groups, int n_in_groups, int n_holding_pairs);
+
+// A camera model with more parameters is taken only where it predicts observations that neither was fitted to better by
+// 3 %. Of a made lens with a moustache it is 3.1 % (OPENCV; reprojection errors 0.37 → 0.31 px, positions off by 0.0017
+// → 0.0010 units, but rotations by 0.12 → 0.34°, since the principal point is fitted, too), of fox 3.2 % (RADIAL); of
+// lenses that the simpler model is true of less than 1.5 % (tests/lens_choice_test.cc, hard_captures.md).
+Decision RicherLens(const std::string& model, double error_px, const std::string& richer, double richer_error_px);
+
+// Photos that may be a fisheye's are mapped as such, too, from the same matches; it is one where no fewer photos are
+// placed and a tenth more observations agree. EXIF cannot tell: 15 mm are a fisheye's 160° as well as a telephone's
+// corrected 110°. A made fisheye's poses were 45 times and a 120° barrel's 6 times as far off with a simple lens, which
+// placed all photos, too (tests/bench/results/hard_captures.md).
+Decision Fisheye(int n_placed, size_t n_observations, int n_placed_as_fisheye, size_t n_observations_as_fisheye);
 
 // The finest grid resolution that training settles. Few views leave finer cells to be learnt by heart, view by view,
 // unless sparse depths hold the surfaces in place (tests/bench/results/features.md): without depths, fine levels cost
@@ -68,6 +87,13 @@ Decision SparseDepth(size_t n_depths, bool unbounded);
 // 2 EV (a spread of 0.8) gains 0.5 dB, and 1.5 with fitted colours; in the mean of three seeds ET, at 0.5 EV,
 // gains 1.7, and kermit, at 0.15, loses 1 with seeds 1.5 dB apart.
 Decision ExposureCorrection(double spread_ev, bool unbounded);
+
+// Corrections of the training views' cameras are left out where, looked at when a seventh of the training is done, they
+// would move the pictures by less than kVisibleDisplacement_px in the median of the views (`displacement_px`; none
+// where nobody looked). Of lego with exact poses they would by 0.3 px, which is what the young model is wrong by, and
+// cost 0.3 dB; of lego with poses wrong by two pixels by 0.9, and gain 2 dB.
+inline constexpr double kVisibleDisplacement_px = 0.5;
+Decision CameraCorrection(std::optional<double> displacement_px);
 
 // The model `small` is left out for `tiny` where so few of its steps fit in the training budget that the smaller model
 // shows more. On training views held out, two cores with AMX (tests/bench/results/presets.md): lego at 200 px 22.4

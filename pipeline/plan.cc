@@ -11,6 +11,7 @@
 #include "pipeline/files.h"
 #include "pipeline/local_executor.h"
 #include "pipeline/progress.h"
+#include "pipeline/run.h"
 #include "pipeline/scene.h"
 
 namespace nrff {
@@ -109,6 +110,7 @@ BranchPlan PlanBranch(const BranchRequest& request, Executor& executor) {
     });
     plan.nodes.assign(graph.nodes().begin(), graph.nodes().end());
     if (plan.facts.empty()) plan.facts = graph.Artifact(plan.nodes.front()).manifest->facts;
+    plan.extension = ProbeExtension(executor, request);
     plan.training = ProbeTraining(executor, request);
     AddKnownDecisions(graph, plan);
   } catch (const Error& error) {
@@ -135,6 +137,7 @@ void PrintPlans(const std::vector<BranchPlan>& plans, std::ostream& out) {
     if (const int n_videos = plan.facts.value("n_videos", 0); n_videos > 0) {
       out << fmt::format("  and frames of {} video{}, chosen when ingest runs\n", n_videos, n_videos == 1 ? "" : "s");
     }
+    if (const std::string text = ExtensionText(plan.extension); !text.empty()) out << "  " << text << '\n';
     for (size_t i = 0; i < plan.nodes.size(); ++i) {
       const Verdict& verdict = plan.verdicts[i];
       out << fmt::format("  {:<7}{:<8}{}\n", StateText(verdict.state), plan.nodes[i].stage, verdict.reason);
@@ -142,6 +145,9 @@ void PrintPlans(const std::vector<BranchPlan>& plans, std::ostream& out) {
     const bool trains =
         std::any_of(plan.nodes.begin(), plan.nodes.end(), [](const Node& node) { return node.stage == "train"; });
     if (trains) out << "  " << TrainingText(plan) << '\n';
+    if (trains && plan.extension.at("extension").is_object()) {
+      out << "  of that a training that goes on takes the added views' share, a quarter at least\n";
+    }
     for (const Decision& decision : plan.decisions) {
       const bool forced = ForcedDecision(plan.request, decision.feature).has_value();
       if (!decision.needed || forced) out << "  " << DecisionText(decision) << '\n';
@@ -171,6 +177,7 @@ Json PlansToJson(const std::vector<BranchPlan>& plans) {
                     {"workspace", EscapePath(plan.request.workspace.root())},
                     {"facts", plan.facts},
                     {"nodes", nodes},
+                    {"extension", plan.extension},
                     {"training", plan.training},
                     {"decisions", plan.decisions},
                     {"undecided", plan.undecided}};

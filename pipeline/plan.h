@@ -13,8 +13,9 @@ namespace nrff {
 
 struct BranchPlan {
   BranchRequest request;
-  Json facts = Json::object();     // what ingest found, or says it will
-  Json training = Json::object();  // what the options mean to training: ProbeTraining
+  Json facts = Json::object();      // what ingest found, or says it will
+  Json extension = Json::object();  // ProbeExtension
+  Json training = Json::object();   // what the options mean to training: ProbeTraining
   std::vector<Node> nodes = {};
   std::vector<Verdict> verdicts = {};       // by node
   std::vector<Decision> decisions = {};     // what is known now, or was forced

@@ -64,14 +64,12 @@ void WriteReport(const fs::path& workspace) {
   Json summary = Summarise(state);
   const Json pictures = PartOrWarning(summary, [&] { return Pictures(state, summary["images"]); });
   const Json geometry = PartOrWarning(summary, [&] { return Geometry(state); });
+  const Json certificate = PartOrWarning(summary, [&] { return Certificate(state); });
   const Json videos = PartOrWarning(summary, [&] { return VideoFrames(state); });
   const Json stability = PartOrWarning(summary, [&] { return ReadStability(state.root / kStabilityFolder); });
   WriteJson(artifact.dir() / "summary.json", summary);
-  const Json page = {{"summary", summary},
-                     {"facts", Facts(state)},
-                     {"pictures", pictures},
-                     {"geometry", geometry},
-                     {"videos", videos},
+  const Json page = {{"summary", summary},    {"facts", Facts(state)},      {"pictures", pictures},
+                     {"geometry", geometry},  {"certificate", certificate}, {"videos", videos},
                      {"stability", stability}};
   WriteFileAtomically(artifact.dir() / "report.html", FillPage("report.html", state.name, page));
   artifact.AddOutput("summary.json");

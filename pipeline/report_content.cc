@@ -218,6 +218,86 @@ Json Geometry(const WorkspaceState& state) {
   return {{"points", points}, {"cameras", cameras}};
 }
 
+namespace {
+
+Json LeftOutPhotos(const WorkspaceState& state, const Json& unused) {
+  Json photos = Json::array();
+  const auto add = [&](const Json& names, const char* reason) {
+    for (const Json& name : names) photos.push_back({{"name", name}, {"reason", reason}});
+  };
+  for (const Json& file : At(state.Facts("ingest"), "rejected")) {
+    photos.push_back({{"name", At(file, "name")}, {"reason", At(file, "reason")}});
+  }
+  add(At(state.Facts("sfm"), "unregistered"), "no pose: too few of its features are those of photos that have one");
+  add(unused, "has a pose, but fewer than three points, or none that others see");
+  return photos;
+}
+
+}  // namespace
+
+Json Certificate(const WorkspaceState& state) {
+  const fs::path file = state.root / "sfm" / "refinement.json";
+  if (!state.Stage("sfm").manifest || !state.Stage("pose").manifest || !fs::exists(file)) return nullptr;
+  const std::string where = EscapePath(file);
+  const Json json = ReadJson(file);
+  CheckSchemaVersion(json, 1, where);
+  const Scene scene = LoadScene(state.root / "pose");
+  std::map<std::string, const View*> views;
+  for (const View& view : scene.views) views[view.id] = &view;
+  // A photo is called by its name where the scene knows it.
+  const auto name_of = [&](const std::string& id) { return views.contains(id) ? views.at(id)->name : id; };
+  const Mat4& m = scene.scene_from_world;
+  const double scale = std::sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]);
+
+  Json cameras = Json::array();
+  std::vector<std::pair<double, Json>> known;
+  for (const Json& image : Get<std::vector<Json>>(json, "images", where)) {
+    const auto view = views.find(Get<std::string>(image, "name", where));
+    if (view == views.end()) continue;
+    const Mat4& pose = view->second->scene_from_camera;
+    const double distance = std::sqrt(pose[3] * pose[3] + pose[7] * pose[7] + pose[11] * pose[11]);
+    const double position = scale * Get<double>(image, "position_deviation", where) / std::max(distance, 1e-6);
+    known.emplace_back(position, Json{{"name", view->second->name},
+                                      {"split", view->second->split == Split::kTrain ? "train" : "test"},
+                                      {"position", position},
+                                      {"rotation_deg", Get<double>(image, "rotation_deviation_deg", where)}});
+  }
+  std::stable_sort(known.begin(), known.end(), [](const auto& a, const auto& b) { return a.first > b.first; });
+  for (auto& [position, camera] : known) cameras.push_back(std::move(camera));
+
+  std::map<int, int64_t> tracks;  // by length as a number
+  for (const auto& [length, n] : Get<std::map<std::string, int64_t>>(json, "track_lengths", where)) {
+    tracks[std::atoi(length.c_str())] = n;
+  }
+  Json track_lengths = Json::array();
+  for (const auto& [length, n] : tracks) track_lengths.push_back({{"length", length}, {"n", n}});
+  std::vector<size_t> components;
+  for (const Json& component : Get<std::vector<Json>>(json, "components", where)) {
+    components.push_back(Get<std::vector<std::string>>(component, "images", where).size());
+  }
+  std::sort(components.rbegin(), components.rend());
+  const Json left_out = Get<Json>(json, "left_out", where);
+  Json unused = Json::array();
+  for (const std::string& id : Get<std::vector<std::string>>(left_out, "images", where)) unused.push_back(name_of(id));
+  return {{"n_points", Get<size_t>(json, "n_points", where)},
+          {"n_observations", Get<size_t>(json, "n_observations", where)},
+          {"degeneracy", At(json, "degeneracy")},
+          {"structure", Get<std::vector<std::string>>(json, "structure", where)},
+          {"reason", At(json, "reason")},
+          {"converged", Get<bool>(json, "converged", where)},
+          {"remaining", At(json, "remaining_deviations")},
+          {"iterations", Get<int>(json, "iterations", where)},
+          {"error_px", Get<Json>(json, "reprojection_error_px", where)},
+          {"n_left_out",
+           {{"points", Get<size_t>(left_out, "n_points", where)},
+            {"behind", Get<size_t>(left_out, "n_observations_behind", where)},
+            {"beyond_lens", Get<size_t>(left_out, "n_observations_beyond_lens", where)}}},
+          {"track_lengths", track_lengths},
+          {"components", components},
+          {"cameras", cameras},
+          {"left_out", LeftOutPhotos(state, unused)}};
+}
+
 Json VideoFrames(const WorkspaceState& state) {
   const fs::path ingest = state.root / "ingest", file = ingest / "videos.json";
   if (!fs::exists(file)) return nullptr;

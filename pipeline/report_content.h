@@ -21,6 +21,15 @@ Json Pictures(const WorkspaceState& state, const Json& images);
 // The rendered view of median PSNR as a data URI; null when nothing was rendered.
 Json MedianPicture(const WorkspaceState& state, const Json& images);
 
+// How well the photos fix the estimated poses, as sfm's refinement.json says it; null where there is none.
+// {n_points, n_observations, degeneracy, structure, reason, converged, remaining: standard deviations to the minimum,
+//  iterations, error_px: {before, after: {median, mean}}, n_left_out: {points, behind, beyond_lens}: of observations
+//  but the points, track_lengths: [{length, n}] ascending, components: [images of each], descending, cameras: [{name,
+//  split, position: deviation over the distance to the scene's centre, rotation_deg}], weakest first, left_out: [{name,
+//  reason}]: photos without a pose or a part in it}
+// Throws CorruptError.
+Json Certificate(const WorkspaceState& state);
+
 // One workspace of a joint report.
 struct Run {
   WorkspaceState state;

@@ -48,16 +48,25 @@ void WarnOfRegistration(const Json& sfm, const Json& pose, const Json& ingest, J
                         {"text", Photos(unregistered.size()) + " without a pose: not used for training or scores."},
                         {"items", Strings(unregistered)}});
   }
-  const Json& models = At(sfm, "models");
-  if (models.size() > 1) {
+  const Json& groups = At(sfm, "groups");
+  if (groups.size() > 1) {
     Json items = Json::array();
-    for (const Json& model : models) {
-      items.push_back(fmt::format("{} photos, {} points", Count(model, "n_images"), Count(model, "n_points")));
+    for (const Json& group : groups) {
+      items.push_back(fmt::format("{}, {} points: {}", Photos(size_t(Count(group, "n_images"))),
+                                  Count(group, "n_points"), Text(At(group, "photos"))));
     }
-    warnings.push_back(
-        {{"kind", "several models"},
-         {"text", fmt::format("COLMAP found {} models that it could not join; the largest is used.", models.size())},
-         {"items", items}});
+    warnings.push_back({{"kind", "several groups"},
+                        {"text", "The photos fall into groups, of which only the largest is shown here. " +
+                                     Text(At(sfm, "groups_advice")) + "."},
+                        {"items", items}});
+  }
+  constexpr double kPinholeField_deg = 120;  // undistortion keeps 60° to every side (sfm/undistort.h)
+  if (const Json& field = At(sfm, "field_of_view_deg"); field.is_number() && field.get<double>() > kPinholeField_deg) {
+    warnings.push_back({{"kind", "wide lens"},
+                        {"text", fmt::format("The lens shows {:.0f}° between corners. Of that 60° to every side are "
+                                             "learnt from and scored; what lies beyond is not used.",
+                                             field.get<double>())},
+                        {"items", Json::array()}});
   }
 }
 

@@ -8,6 +8,8 @@
 
 #include "pipeline/error.h"
 #include "pipeline/files.h"
+#include "pipeline/local_executor.h"
+#include "pipeline/log.h"
 #include "pipeline/progress.h"
 #include "pipeline/report.h"
 
@@ -45,6 +47,22 @@ void ReportFailures(const std::vector<BranchResult>& results) {
   for (const BranchResult& result : results) {
     const Workspace& workspace = result.request.workspace;
     if (result.FirstFailed() != nullptr && !HasCompleteReport(workspace)) WriteReport(workspace.root());
+  }
+}
+
+// Photos were added: what there is of the earlier ones is kept for the stages to take over. Everything anew: they take
+// over nothing.
+void KeepOrForgetBase(const BranchRequest& request, const Json& extension, bool quiet) {
+  const Workspace& workspace = request.workspace;
+  if (request.from == StageNames().front()) return workspace.ForgetBase();
+  if (extension.at("extension").is_object()) {
+    // A model that is still in the making is not worth one that is done of fewer photos yet.
+    const KeptFiles kept = ExtendableStages(workspace);
+    if (kept.size() < kMostExtendable && workspace.HasBase("ingest")) return;
+    workspace.KeepBase(kept);
+    if (!quiet) LogInfo(fmt::format("{}: {}", request.name, ExtensionText(extension)));
+  } else if (extension.at("why_anew").is_string() && !workspace.HasBase("ingest") && !quiet) {
+    LogWarning(fmt::format("{}: {}", request.name, ExtensionText(extension)));
   }
 }
 
@@ -94,12 +112,26 @@ std::vector<BranchResult> RunBranches(const std::vector<BranchRequest>& requests
   return results;
 }
 
+std::string ExtensionText(const Json& extension) {
+  if (extension.at("why_anew").is_string()) {
+    return "not only were photos added: nothing of the last run is taken over, since " +
+           extension.at("why_anew").get<std::string>();
+  }
+  if (!extension.at("extension").is_object()) return {};
+  return fmt::format(
+      "{} photos were added to {}: their hold-out, features, matches, poses, frame and model are taken over "
+      "(--force: everything anew)",
+      extension.at("extension").value("n_added", 0), extension.at("extension").value("n_earlier", 0));
+}
+
 std::vector<BranchResult> RunRequests(const std::vector<BranchRequest>& requests, Verbosity verbosity) {
+  std::vector<Json> extensions;
   {
     LocalExecutor executor;  // what only training would refuse is refused before an hour of other stages
     for (const BranchRequest& request : requests) {
       try {
         ProbeTraining(executor, request);
+        extensions.push_back(ProbeExtension(executor, request));
       } catch (const Error& error) {
         if (requests.size() == 1) throw;
         throw Error(error.code(), request.name + ": " + error.what());
@@ -109,9 +141,11 @@ std::vector<BranchResult> RunRequests(const std::vector<BranchRequest>& requests
   const Machine machine = ThisMachine();
   std::vector<WorkspaceLock> locks;
   std::vector<Node> nodes;
-  for (const BranchRequest& request : requests) {
+  for (size_t i = 0; i < requests.size(); ++i) {
+    const BranchRequest& request = requests[i];
     request.workspace.Claim(request.capture);
     locks.emplace_back(request.workspace);
+    KeepOrForgetBase(request, extensions[i], verbosity == Verbosity::kQuiet);
     request.workspace.WriteMarker({request.capture, request.options});
     nodes.push_back(FirstNode(request, machine));
   }

@@ -28,9 +28,12 @@ struct BranchResult {
 std::vector<BranchResult> RunBranches(const std::vector<BranchRequest>& requests, std::vector<Node> nodes,
                                       const Machine& machine, Verbosity verbosity);
 
+// What ProbeExtension found, for people; empty where the capture is as it was.
+std::string ExtensionText(const Json& extension);
+
 // Asks the training program about the requests' options, claims and locks their workspaces, runs everything, and writes
-// a report with the diagnosis for a capture that failed, unless a complete one would be lost. Throws as RunBranches, and
-// what the training program or a workspace refuses before anything ran.
+// a report with the diagnosis for a capture that failed, unless a complete one would be lost. Throws as RunBranches,
+// and what the training program or a workspace refuses before anything ran.
 std::vector<BranchResult> RunRequests(const std::vector<BranchRequest>& requests, Verbosity verbosity);
 
 // Throws the first failed branch's error, with its exit code.

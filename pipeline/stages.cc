@@ -1,8 +1,10 @@
 #include "pipeline/stages.h"
 
 #include <algorithm>
+#include <map>
 #include <string_view>
 
+#include "pipeline/disk.h"
 #include "pipeline/log.h"
 #include "pipeline/stage.h"
 
@@ -21,16 +23,17 @@ struct Argument {
 struct Stage {
   std::string name;
   std::string program, sub_command;
-  std::vector<Argument> reads;      // artifacts, in the order of the command line
-  std::vector<std::string> params;  // options that change its result
-  std::vector<std::string> others;  // options that do not
-  bool takes_threads = false;       // and keeps all cores busy
-  uint64_t memory_bytes = 0;        // guess for a capture of ordinary size
+  std::vector<Argument> reads;         // artifacts, in the order of the command line
+  std::vector<std::string> params;     // options that change its result
+  std::vector<std::string> others;     // options that do not
+  bool takes_threads = false;          // and keeps all cores busy
+  uint64_t memory_bytes = 0;           // guess for a capture of ordinary size
+  std::vector<std::string> kept = {};  // files that a run with photos added takes over; none: --base is not known
 };
 
 const std::vector<Stage>& Table() {
   static const std::vector<Stage> table = {
-      {"ingest", "nrff-ingest", "", {}, {"frames", "masks"}, {}, false, 512 * kMebibyte},
+      {"ingest", "nrff-ingest", "", {}, {"frames", "masks"}, {}, false, 512 * kMebibyte, {"capture.json"}},
       {"sfm",
        "nrff-pose",
        "estimate",
@@ -38,7 +41,8 @@ const std::vector<Stage>& Table() {
        {"seed", "matching", "sfm-image-size", "sfm-features"},
        {},
        true,
-       2048 * kMebibyte},
+       2048 * kMebibyte,
+       {"mapping"}},
       {"pose",
        "nrff-pose",
        "normalise",
@@ -46,15 +50,18 @@ const std::vector<Stage>& Table() {
        {"max-image-size", "undistortion", "contraction"},
        {},
        false,
-       1024 * kMebibyte},
+       1024 * kMebibyte,
+       {"scene.json"}},
       {"train",
        "nrff-train",
        "",
        {{"--scene", "pose"}},
-       {"preset", "set", "directional", "steps", "budget", "seed", "fine-levels", "sparse-depth", "device"},
+       {"preset", "set", "directional", "steps", "budget", "seed", "fine-levels", "sparse-depth", "exposure-correction",
+        "device"},
        {},
        true,
-       2048 * kMebibyte},
+       2048 * kMebibyte,
+       {"checkpoint.safetensors"}},
       {"render",
        "nrff-render",
        "",
@@ -106,7 +113,9 @@ void AddOptions(const Params& given, std::vector<std::string>& command) {
   for (const auto& [name, value] : given) command.insert(command.end(), {"--" + name, value});
 }
 
-Node MakeNode(const Stage& stage, const BranchRequest& request, const Machine& machine, bool posed) {
+// `extends`: ingest found the capture to extend what the workspace's base was made of.
+Node MakeNode(const Stage& stage, const BranchRequest& request, const Machine& machine, bool posed,
+              bool extends = false) {
   Node node;
   node.branch = request.name;
   node.stage = stage.name;
@@ -133,6 +142,10 @@ Node MakeNode(const Stage& stage, const BranchRequest& request, const Machine& m
       node.inputs.push_back(request.name + "/" + argument.input);
       node.command.insert(node.command.end(), {argument.option, request.workspace.Artifact(argument.input).string()});
     }
+    if (!stage.kept.empty() && (extends || stage.name == "ingest") && request.workspace.HasBase(stage.name)) {
+      node.bases.push_back(request.workspace.Base(stage.name));
+      node.command.insert(node.command.end(), {"--base", node.bases.back().string()});
+    }
     node.command.insert(node.command.end(), {"--out", node.artifact.string()});
   }
   node.params = Given(stage.params, request);
@@ -152,19 +165,52 @@ Node MakeNode(const Stage& stage, const BranchRequest& request, const Machine& m
   return node;
 }
 
-std::vector<Node> NodesAfterIngest(const BranchRequest& request, const Machine& machine, bool posed) {
+std::vector<Node> NodesAfterIngest(const BranchRequest& request, const Machine& machine, bool posed,
+                                   bool extends = false) {
   if (posed && request.options.contains("matching")) {
     LogWarning(request.name + " brings its poses: no photos are matched, whatever was said of exhaustive_matching");
   }
   std::vector<Node> nodes;
   for (const Stage& stage : Table()) {
     if (stage.name == "ingest" || (posed && stage.name == "sfm") || OrderOf(stage.name) > Last(request)) continue;
-    nodes.push_back(MakeNode(stage, request, machine, posed));
+    nodes.push_back(MakeNode(stage, request, machine, posed, extends));
   }
   return nodes;
 }
 
+bool IsMadeOf(const Manifest& manifest, const std::vector<Manifest>& inputs) {
+  return std::all_of(inputs.begin(), inputs.end(), [&](const Manifest& input) {
+    return std::any_of(manifest.inputs.begin(), manifest.inputs.end(),
+                       [&](const HashedPath& recorded) { return recorded.hash == input.ContentHash(); });
+  });
+}
+
 }  // namespace
+
+KeptFiles ExtendableStages(const Workspace& workspace) {
+  RealDisk disk;
+  std::map<std::string, Manifest> done;
+  KeptFiles extendable;
+  for (const Stage& stage : Table()) {
+    if (stage.kept.empty()) continue;
+    const ArtifactState state = disk.ReadArtifact(workspace.Artifact(stage.name));
+    std::vector<Manifest> inputs;
+    for (const Argument& argument : stage.reads) {
+      if (done.contains(argument.input)) inputs.push_back(done.at(argument.input));
+    }
+    std::error_code error;
+    const bool whole = state.manifest && state.manifest->version == Version() && inputs.size() == stage.reads.size() &&
+                       IsMadeOf(*state.manifest, inputs) &&
+                       std::all_of(stage.kept.begin(), stage.kept.end(), [&](const std::string& file) {
+                         return fs::exists(workspace.Artifact(stage.name) / file, error);
+                       });
+    if (!whole) break;
+    done.emplace(stage.name, *state.manifest);
+    extendable.emplace_back(stage.name, stage.kept);
+  }
+  if (extendable.size() < 2) extendable.clear();  // ingest alone is nothing to go on from
+  return extendable;
+}
 
 const std::vector<std::string>& StageNames() {
   static const std::vector<std::string> names = [] {
@@ -178,7 +224,8 @@ const std::vector<std::string>& StageNames() {
 Node FirstNode(const BranchRequest& request, const Machine& machine) {
   Node ingest = MakeNode(Table().front(), request, machine, /*posed=*/false);
   ingest.expand = [request, machine](const Json& facts) {
-    return NodesAfterIngest(request, machine, Get<bool>(facts, "posed", "what ingest says of " + request.name));
+    const bool posed = Get<bool>(facts, "posed", "what ingest says of " + request.name);
+    return NodesAfterIngest(request, machine, posed, facts.value("extension", Json()).is_object());
   };
   return ingest;
 }

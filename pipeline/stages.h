@@ -31,6 +31,11 @@ struct BranchRequest {
 // The first node of the branch. It expands into the rest once the capture is known to bring its poses or not.
 Node FirstNode(const BranchRequest& request, const Machine& machine);
 
+// What of the stages that are done a run on the capture with photos added would take over. Empty unless ingest and sfm
+// are done, of each other, by this version; a stage not made of these is left out, and so is what follows it.
+KeptFiles ExtendableStages(const Workspace& workspace);
+inline constexpr size_t kMostExtendable = 4;  // ingest to train
+
 // The branch of an ended pipeline: `stages` run whatever they are, those before them are taken as they are. `posed`:
 // what ingest found.
 std::vector<Node> BranchToRunAgain(const BranchRequest& request, const Machine& machine, bool posed,

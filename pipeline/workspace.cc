@@ -87,6 +87,46 @@ void Workspace::WriteMarker(const Marker& marker) const {
                                        {"options", marker.options}});
 }
 
+namespace {
+
+void Link(const fs::path& from, const fs::path& to) {
+  std::error_code error;
+  if (fs::is_directory(from, error)) {
+    MakeDirectories(to);
+    for (const fs::directory_entry& entry : fs::directory_iterator(from))
+      Link(entry.path(), to / entry.path().filename());
+    return;
+  }
+  fs::create_hard_link(from, to, error);
+  if (error) fs::copy_file(from, to, error);
+  if (error) throw ResourceError("cannot keep " + EscapePath(from) + " as " + EscapePath(to) + ": " + error.message());
+}
+
+}  // namespace
+
+bool Workspace::HasBase(const std::string& stage) const {
+  std::error_code error;
+  return fs::is_regular_file(Base(stage) / kManifestName, error);
+}
+
+void Workspace::KeepBase(const KeptFiles& kept) const {
+  const fs::path base = root_ / kBaseFolder, fresh = root_ / (std::string(kBaseFolder) + ".partial");
+  std::error_code error;
+  fs::remove_all(fresh, error);
+  for (const auto& [stage, files] : kept) {
+    MakeDirectories(fresh / stage);
+    Link(Artifact(stage) / kManifestName, fresh / stage / kManifestName);
+    for (const std::string& file : files) Link(Artifact(stage) / file, fresh / stage / file);
+  }
+  ReplaceDirectory(fresh, base);
+}
+
+void Workspace::ForgetBase() const {
+  std::error_code error;
+  fs::remove_all(root_ / kBaseFolder, error);
+  if (error) throw ResourceError("cannot remove " + EscapePath(root_ / kBaseFolder) + ": " + error.message());
+}
+
 Manifest Workspace::Require(const std::string& stage) const {
   if (!ReadManifest(Artifact(stage))) {
     throw InputError(EscapePath(root_) + " has no finished " + stage + " yet: `nrff run " + EscapePath(root_) +

@@ -9,8 +9,10 @@
 #include <optional>
 #include <set>
 #include <string>
+#include <utility>
 #include <vector>
 
+#include "pipeline/extension.h"
 #include "pipeline/manifest.h"
 
 namespace nrff {
@@ -22,6 +24,9 @@ struct StageRecord {
   std::string error;  // empty unless it failed
 };
 
+// Stages, and of each the names of files and folders in its artifact.
+using KeptFiles = std::vector<std::pair<std::string, std::vector<std::string>>>;
+
 class Workspace {
  public:
   explicit Workspace(std::filesystem::path root) : root_(std::move(root)) {}
@@ -29,6 +34,14 @@ class Workspace {
   const std::filesystem::path& root() const { return root_; }
   std::filesystem::path Artifact(const std::string& stage) const { return root_ / stage; }
   std::filesystem::path Log(const std::string& stage) const { return root_ / "logs" / (stage + ".log"); }
+  // What an earlier run made of fewer photos of the capture (extension.h).
+  std::filesystem::path Base(const std::string& stage) const { return root_ / kBaseFolder / stage; }
+  bool HasBase(const std::string& stage) const;
+  // Makes base/ hold these files of finished stages and their manifests. Linked, not copied, where the disk can; what
+  // base/ held before is replaced at once. Throws ResourceError.
+  void KeepBase(const KeptFiles& kept) const;
+  void ForgetBase() const;
+
   std::filesystem::path Report() const { return root_ / "report" / "report.html"; }
 
   bool Exists() const;

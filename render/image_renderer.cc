@@ -17,19 +17,12 @@ namespace {
 constexpr int kTileSide = 8;  // pixels: neighbouring rays meet the same cells
 static_assert(kTileSide * kTileSide == RayBlock::kRays);
 
-// What one thread needs to render tiles.
-class TileRenderer {
+// What one thread needs to render a block of rays.
+class BlockRenderer {
  public:
-  TileRenderer(const RadianceField& field, const OccupancyGrid& occupancy, const SceneMap& map, const View& view,
-               const RenderOptions& options)
-      : field_(field),
-        shader_(field.MakeShader(options.precision)),
-        view_(view),
-        camera_{.fx = view.fx, .fy = view.fy, .cx = view.cx, .cy = view.cy},
-        options_(options) {
-    std::copy_n(view.scene_from_camera.begin(), 12, camera_.scene_from_camera);
-    args_.origins = origins_;
-    args_.directions = directions_;
+  BlockRenderer(const RadianceField& field, const OccupancyGrid& occupancy, const SceneMap& map,
+                const RenderOptions& options)
+      : field_(field), shader_(field.MakeShader(options.precision)), options_(options) {
     args_.occupancy = occupancy.bits();
     args_.map = map;
     args_.step = options.step;
@@ -37,33 +30,21 @@ class TileRenderer {
     args_.far = options.far;
   }
 
-  // Writes the tile's pixels into the image, Σ w t and Σ w n as they come.
-  void Render(int tile_x, int tile_y, RenderedImage& image) {
-    const int x_end = std::min(view_.width, (tile_x + 1) * kTileSide);
-    const int y_end = std::min(view_.height, (tile_y + 1) * kTileSide);
-    int64_t n = 0;
-    for (int y = tile_y * kTileSide; y < y_end; ++y) {
-      for (int x = tile_x * kTileSide; x < x_end; ++x, ++n) {
-        pixels_[3 * n] = 0;
-        pixels_[3 * n + 1] = x;
-        pixels_[3 * n + 2] = y;
-      }
-    }
-    CameraRaysCpu(CameraRaysArgs<float>{
-        .n_rays = n, .cameras = &camera_, .pixels = pixels_, .origins = origins_, .directions = directions_});
+  // Of n ≤ RayBlock::kRays rays; pixel(r) is ray r's place in the image, which gets Σ w t and Σ w n as they come.
+  template <typename Pixel>
+  void Render(const float* origins, const float* directions, int64_t n, const Pixel& pixel, RenderedImage& image) {
+    args_.origins = origins;
+    args_.directions = directions;
     args_.n_rays = n;
     // What a ray has not met when it ends weighs no more than this.
     const double stop = std::max(options_.stop_transmittance, 0.5 * options_.colour_tolerance);
     block_.Trace(field_, args_, 0, n, static_cast<float>(stop));
     const auto tolerance = static_cast<float>(options_.colour_tolerance);
     block_.Select(static_cast<float>(options_.weight_threshold), tolerance);
-    quadrature_.Integrate(block_, directions_, args_.step, tolerance, *shader_);
+    quadrature_.Integrate(block_, directions, args_.step, tolerance, *shader_);
     n_samples += block_.n_evaluated;
     n_shaded += quadrature_.n_shaded;
-    for (int64_t r = 0; r < n; ++r) {
-      const int64_t pixel = int64_t{pixels_[3 * r + 2]} * view_.width + pixels_[3 * r + 1];
-      Composite(r, pixel, image);
-    }
+    for (int64_t r = 0; r < n; ++r) Composite(r, pixel(r), image);
   }
 
   int64_t n_samples = 0, n_shaded = 0;
@@ -88,15 +69,74 @@ class TileRenderer {
 
   const RadianceField& field_;
   std::unique_ptr<RadianceField::Shader> shader_;
-  const View& view_;
-  PinholeCamera camera_;
   const RenderOptions& options_;
   MarchArgs<float> args_;
   RayBlock block_;
-  int32_t pixels_[3 * RayBlock::kRays];
-  float origins_[3 * RayBlock::kRays], directions_[3 * RayBlock::kRays];
   RayQuadrature quadrature_;
 };
+
+// The image's pixels in squares, whose rays lie side by side.
+class TileRenderer {
+ public:
+  TileRenderer(BlockRenderer& block, const View& view)
+      : block_(block), view_(view), camera_{view.fx, view.fy, view.cx, view.cy, {}} {
+    std::copy_n(view.scene_from_camera.begin(), 12, camera_.scene_from_camera);
+  }
+
+  void Render(int tile_x, int tile_y, RenderedImage& image) {
+    const int x_end = std::min(view_.width, (tile_x + 1) * kTileSide);
+    const int y_end = std::min(view_.height, (tile_y + 1) * kTileSide);
+    int64_t n = 0;
+    for (int y = tile_y * kTileSide; y < y_end; ++y) {
+      for (int x = tile_x * kTileSide; x < x_end; ++x, ++n) {
+        pixels_[3 * n] = 0;
+        pixels_[3 * n + 1] = x;
+        pixels_[3 * n + 2] = y;
+      }
+    }
+    CameraRaysCpu(CameraRaysArgs<float>{
+        .n_rays = n, .cameras = &camera_, .pixels = pixels_, .origins = origins_, .directions = directions_});
+    const auto place = [&](int64_t r) { return int64_t{pixels_[3 * r + 2]} * view_.width + pixels_[3 * r + 1]; };
+    block_.Render(origins_, directions_, n, place, image);
+  }
+
+ private:
+  BlockRenderer& block_;
+  const View& view_;
+  PinholeCamera camera_;
+  int32_t pixels_[3 * RayBlock::kRays];
+  float origins_[3 * RayBlock::kRays], directions_[3 * RayBlock::kRays];
+};
+
+RenderedImage EmptyImage(int width, int height) {
+  const auto n = size_t(width) * size_t(height);
+  RenderedImage image;
+  image.width = width;
+  image.height = height;
+  image.rgb.resize(3 * n);
+  image.depth.resize(n);
+  image.normal.resize(3 * n);
+  image.opacity.resize(n);
+  return image;
+}
+
+// do_part(renderer, part, image) for each of the parts, on all cores.
+template <typename Part>
+void RenderParts(const RadianceField& field, const OccupancyGrid& occupancy, const SceneMap& map,
+                 const RenderOptions& options, int n_parts, const Part& do_part, RenderedImage& image) {
+#pragma omp parallel
+  {
+    BlockRenderer renderer(field, occupancy, map, options);
+#pragma omp for schedule(dynamic, 4)
+    for (int part = 0; part < n_parts; ++part) do_part(renderer, part, image);
+#pragma omp critical
+    {
+      image.n_samples += renderer.n_samples;
+      image.n_shaded += renderer.n_shaded;
+    }
+  }
+  NormaliseGeometry(image);
+}
 
 }  // namespace
 
@@ -126,33 +166,34 @@ RenderedImage RenderImage(const RadianceField& field, const OccupancyGrid& occup
                           const View& view, const RenderOptions& options, const TileProgress& progress) {
   CheckOptions(options);
   const int64_t n_rays = int64_t{view.width} * view.height;
-  RenderedImage image;
-  image.width = view.width;
-  image.height = view.height;
-  image.rgb.resize(3 * n_rays);
-  image.depth.resize(n_rays);
-  image.normal.resize(3 * n_rays);
-  image.opacity.resize(n_rays);
+  RenderedImage image = EmptyImage(view.width, view.height);
   const int n_columns = (view.width + kTileSide - 1) / kTileSide, n_rows = (view.height + kTileSide - 1) / kTileSide;
   const int n_tiles = n_columns * n_rows;
   std::atomic<int> n_done = 0;
-#pragma omp parallel
-  {
-    TileRenderer renderer(field, occupancy, map, view, options);
-#pragma omp for schedule(dynamic, 4)
-    for (int tile = 0; tile < n_tiles; ++tile) {
-      renderer.Render(tile % n_columns, tile / n_columns, image);
-      ++n_done;
-      if (progress && omp_get_thread_num() == 0) progress(n_rays * n_done / n_tiles);
-    }
-#pragma omp critical
-    {
-      image.n_samples += renderer.n_samples;
-      image.n_shaded += renderer.n_shaded;
-    }
-  }
+  const auto render_tile = [&](BlockRenderer& renderer, int tile, RenderedImage& into) {
+    TileRenderer(renderer, view).Render(tile % n_columns, tile / n_columns, into);
+    ++n_done;
+    if (progress && omp_get_thread_num() == 0) progress(n_rays * n_done / n_tiles);
+  };
+  RenderParts(field, occupancy, map, options, n_tiles, render_tile, image);
   if (progress) progress(n_rays);
-  NormaliseGeometry(image);
+  return image;
+}
+
+RenderedImage RenderRayImage(const RadianceField& field, const OccupancyGrid& occupancy, const SceneMap& map,
+                             const Rays& rays, const RenderOptions& options) {
+  CheckOptions(options);
+  const torch::Tensor origins = rays.origins.contiguous(), directions = rays.directions.contiguous();
+  const int64_t n_rays = origins.size(0);
+  RenderedImage image = EmptyImage(int(n_rays), 1);
+  const auto render_block = [&](BlockRenderer& renderer, int block, RenderedImage& into) {
+    const int64_t first = block * RayBlock::kRays;
+    renderer.Render(
+        origins.const_data_ptr<float>() + 3 * first, directions.const_data_ptr<float>() + 3 * first,
+        std::min(RayBlock::kRays, n_rays - first), [&](int64_t r) { return first + r; }, into);
+  };
+  RenderParts(field, occupancy, map, options, int((n_rays + RayBlock::kRays - 1) / RayBlock::kRays), render_block,
+              image);
   return image;
 }
 

@@ -38,4 +38,8 @@ using TileProgress = std::function<void(int64_t n_rays_done)>;
 RenderedImage RenderImage(const RadianceField& field, const OccupancyGrid& occupancy, const SceneMap& map,
                           const View& view, const RenderOptions& options, const TileProgress& progress = {});
 
+// Float rays [n, 3] as an image n pixels wide and one high.
+RenderedImage RenderRayImage(const RadianceField& field, const OccupancyGrid& occupancy, const SceneMap& map,
+                             const Rays& rays, const RenderOptions& options);
+
 }  // namespace nrff

@@ -68,6 +68,10 @@ std::function<void(const View&, RenderedImage&)> InTheirExposures(const Scene& s
   };
 }
 
+void CorrectCameras(const LoadedModel& model, std::vector<View>& views) {
+  for (View& view : views) view = model.cameras.Corrected(view);
+}
+
 void Render(const Options& options, const Params& params) {
   const Device device = ChooseDevice(options.device);
   const int n_threads = SetThreads(options.n_threads);
@@ -79,8 +83,9 @@ void Render(const Options& options, const Params& params) {
     inputs.push_back({EscapePath(options.path), HashFile(options.path), std::filesystem::file_size(options.path)});
   }
   const Scene scene = LoadScene(options.scene_dir);
-  const std::vector<View> views = options.path.empty() ? CaptureViews(scene, options.split) : PathViews(scene, options);
+  std::vector<View> views = options.path.empty() ? CaptureViews(scene, options.split) : PathViews(scene, options);
   const std::unique_ptr<LoadedModel> model = LoadModel(options.model_dir);
+  if (options.path.empty()) CorrectCameras(*model, views);
 
   ArtifactWriter artifact("render", options.out, params, inputs, ArtifactWriter::kKeepPartial);
   artifact.SaveSeconds();
@@ -136,6 +141,7 @@ void MeasureWorkPrecision(const Options& options, const Params& params) {
     views.push_back(held_out[i * held_out.size() / n_views]);
     photos.push_back(PhotoOf(views.back(), pack, model->options.background));
   }
+  CorrectCameras(*model, views);
   ArtifactWriter artifact(
       "rendering", options.out, params,
       {ArtifactInput(options.scene_dir, scene_manifest), ArtifactInput(options.model_dir, model_manifest)});

@@ -59,6 +59,7 @@ Json CertificateJson(const BundleCertificate& certificate, const ColmapModel& mo
           {"accepted", certificate.accepted},
           {"reason", certificate.accepted ? Json() : Json(certificate.reason)},
           {"degeneracy", or_null(certificate.degeneracy)},
+          {"structure", certificate.structure},
           {"n_points", certificate.n_points},
           {"n_observations", certificate.n_observations},
           {"left_out",

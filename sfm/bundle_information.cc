@@ -283,22 +283,93 @@ std::optional<std::string> NamedDegeneracy(const Bundle& bundle, double angle) {
   return {};
 }
 
-bool IsPlanar(const Bundle& bundle) {
-  for (size_t c = 0; c < bundle.components.size(); ++c) {
-    Vector3d mean = Vector3d::Zero();
+namespace {
+
+constexpr double kMostOtherwise = 0.1;  // of points or images
+constexpr double kStraight = 0.05;
+constexpr double kForward_rad = 15 * M_PI / 180, kAlike_rad = M_PI / 180;
+
+// Mean and principal axes (ascending extents) of points.
+struct Spread {
+  Vector3d mean = Vector3d::Zero();
+  Matrix3d axes = Matrix3d::Identity();
+  Vector3d extents = Vector3d::Zero();  // root mean squares
+
+  explicit Spread(const std::vector<Vector3d>& points) {
+    for (const Vector3d& point : points) mean += point / double(points.size());
     Matrix3d squares = Matrix3d::Zero();
-    double n = 0;
-    for (size_t i = 0; i < bundle.points.size(); ++i) {
-      if (bundle.points[i].component == c) mean += bundle.Position(i), ++n;
-    }
-    for (size_t i = 0; i < bundle.points.size(); ++i) {
-      const Vector3d offset = bundle.Position(i) - mean / n;
-      if (bundle.points[i].component == c) squares += offset * offset.transpose();
-    }
-    const Vector3d extents = Eigen::SelfAdjointEigenSolver<Matrix3d>(squares).eigenvalues().cwiseMax(0).cwiseSqrt();
-    if (!(extents[0] < kPlanar * extents[1])) return false;
+    for (const Vector3d& point : points) squares += (point - mean) * (point - mean).transpose() / double(points.size());
+    const Eigen::SelfAdjointEigenSolver<Matrix3d> eigen(squares);
+    axes = eigen.eigenvectors();
+    extents = eigen.eigenvalues().cwiseMax(0).cwiseSqrt();
   }
-  return true;
+};
+
+// The share of `values` that is beyond `most`.
+double Beyond(const std::vector<double>& values, double most) {
+  const auto n = std::count_if(values.begin(), values.end(), [most](double value) { return !(value <= most); });
+  return double(n) / double(std::max<size_t>(1, values.size()));
+}
+
+// Refits to the nearer half until all but a few points lie on the plane, or it is clear that they do not.
+bool IsPlanar(const std::vector<Vector3d>& points) {
+  constexpr int kRefits = 10;
+  constexpr size_t kFewest = 4;
+  if (points.size() < kFewest) return false;
+  std::vector<Vector3d> kept = points;
+  for (int refit = 0; refit < kRefits; ++refit) {
+    const Spread spread(kept);
+    std::vector<double> across;
+    for (const Vector3d& point : points) across.push_back(std::abs(spread.axes.col(0).dot(point - spread.mean)));
+    if (Beyond(across, kPlanar * spread.extents[1]) <= kMostOtherwise) return true;
+    const double nearer = Median(across);
+    kept.clear();
+    for (size_t i = 0; i < points.size(); ++i) {
+      if (across[i] <= nearer) kept.push_back(points[i]);
+    }
+  }
+  return false;
+}
+
+bool IsForward(const std::vector<Vector3d>& centers, const std::vector<Vector3d>& views) {
+  if (centers.size() < 3) return false;
+  const Spread spread(centers);
+  if (!(spread.extents[1] <= kStraight * spread.extents[2])) return false;
+  std::vector<double> aside;
+  for (const Vector3d& view : views) {
+    aside.push_back(std::acos(std::min(1.0, std::abs(spread.axes.col(2).dot(view)))));
+  }
+  return Beyond(aside, kForward_rad) <= kMostOtherwise;
+}
+
+}  // namespace
+
+std::vector<std::string> NamedStructure(const Bundle& bundle) {
+  bool planar = true, forward = true, alike = true;
+  for (size_t c = 0; c < bundle.components.size(); ++c) {
+    std::vector<Vector3d> points, centers, views;
+    std::vector<double> turned;
+    const Eigen::Quaterniond anchor(bundle.Rotation(bundle.components[c].anchor));
+    for (size_t i = 0; i < bundle.points.size(); ++i) {
+      if (bundle.points[i].component == c) points.emplace_back(bundle.Position(i));
+    }
+    for (size_t i = 0; i < bundle.images.size(); ++i) {
+      if (bundle.images[i].component != c) continue;
+      const Eigen::Quaterniond rotation(bundle.Rotation(i));
+      centers.emplace_back(bundle.Center(i));
+      views.emplace_back(rotation.conjugate() * Vector3d::UnitZ());
+      turned.push_back(rotation.angularDistance(anchor));
+    }
+    planar &= IsPlanar(points);
+    forward &= IsForward(centers, views);
+    alike &= centers.size() > 1 && Beyond(turned, kAlike_rad) <= kMostOtherwise;
+  }
+  std::vector<std::string> structure;
+  if (bundle.components.empty()) return structure;
+  if (planar) structure.emplace_back("planar: the points lie on a plane");
+  if (forward) structure.emplace_back("forward motion: the cameras move along their viewing direction");
+  if (alike) structure.emplace_back("no turning: the cameras all look the same way");
+  return structure;
 }
 
 }  // namespace nrff

@@ -31,7 +31,11 @@ BundleInformation MeasureInformation(const Bundle& bundle, double loss_scale_px)
 // baseline), or points that lie within `angle` of each other in the images. Nothing where neither is so.
 std::optional<std::string> NamedDegeneracy(const Bundle& bundle, double angle);
 
-// Whether the points lie on a plane: their extent across is below a hundredth of that along.
-bool IsPlanar(const Bundle& bundle);
+// What of every component's shape lets lenses or poses be fixed badly, in words; more than one may hold. Robust: a
+// tenth of the points or images may be otherwise.
+//   planar          points within a hundredth of their extent of a plane
+//   forward motion  at least three cameras on a line, within a twentieth of its length, that look along it to 15°
+//   no turning      at least two cameras, all turned alike to 1°: focal length and the scale along the axis are one
+std::vector<std::string> NamedStructure(const Bundle& bundle);
 
 }  // namespace nrff

@@ -183,8 +183,10 @@ std::string Minimise(Bundle& bundle, const ColmapModel& model, const BundleOptio
     break;
   }
   if (!certificate.held.empty()) {
+    certificate.structure = NamedStructure(bundle);
     certificate.degeneracy = "the images do not fix the " + Joined(certificate.held) +
-                             (IsPlanar(bundle) ? " (the points lie on a plane)" : "") + "; held as given";
+                             (certificate.structure.empty() ? "" : " (" + Joined(certificate.structure) + ")") +
+                             "; held as given";
   }
   return {};
 }
@@ -231,6 +233,7 @@ RefinedBundle RefineBundle(const ColmapModel& model, const BundleOptions& option
     certificate.reason = Reason(bundle, model, options, certificate);
     if (certificate.reason.empty()) refined.model = WithBundle(model, bundle);
   }
+  if (certificate.structure.empty()) certificate.structure = NamedStructure(bundle);
   certificate.accepted = certificate.reason.empty();
   certificate.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   return refined;

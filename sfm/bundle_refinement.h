@@ -77,6 +77,8 @@ struct BundleCertificate {
   double seconds = 0;
   std::string solver;                     // Ceres's name of the linear solver
   std::optional<std::string> degeneracy;  // what the data leave open, in words
+  std::vector<std::string> structure;     // shapes that fix lenses or poses badly, whether or not they do here: planar,
+                                          // forward motion, no turning (bundle_information.h)
 
   double deviation_px = 0;                  // of an observation's coordinate, from the median residual
   std::vector<PoseCovariance> covariances;  // by image id; empty beyond kMostImagesForCovariance and where refused

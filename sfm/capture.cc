@@ -1,7 +1,9 @@
 #include "sfm/capture.h"
 
+#include <algorithm>
 #include <cmath>
 #include <iterator>
+#include <numeric>
 #include <utility>
 
 #include "pipeline/error.h"
@@ -117,6 +119,14 @@ CaptureImage ImageFromJson(const Json& json, const std::string& where) {
 }
 
 }  // namespace
+
+std::vector<size_t> OrderByPath(const std::vector<std::filesystem::path>& paths) {
+  std::vector<size_t> order(paths.size());
+  std::iota(order.begin(), order.end(), size_t(0));
+  std::stable_sort(order.begin(), order.end(),
+                   [&](size_t a, size_t b) { return paths[a].native() < paths[b].native(); });
+  return order;
+}
 
 const char* MasksName(Masks masks) { return kMasksNames[size_t(masks)]; }
 

@@ -18,7 +18,7 @@ namespace nrff {
 enum class Masks { kIgnore, kBackground };
 
 struct CaptureImage {
-  std::string id;              // "000012": position in byte order of `path`
+  std::string id;              // "000012": position in byte order of `path`, added photos (ingest.h) after all others
   std::filesystem::path path;  // relative to Capture::root or, of a frame of a video, to the ingest artifact
   bool extracted = false;      // is a frame of a video
   Split split = Split::kTrain;
@@ -39,7 +39,7 @@ struct RejectedFile {
 
 struct Capture {
   std::string name;
-  std::string kind;  // photos | transforms | nsvf | colmap
+  std::string kind;                      // photos | transforms | nsvf | colmap
   std::filesystem::path root, artifact;  // the folder as the user has it; the ingest artifact, in no file
   std::string split_rule;
   bool posed = false;
@@ -58,6 +58,9 @@ struct Capture {
 inline constexpr int kCaptureSchemaVersion = 2;
 inline constexpr char kCaptureFile[] = "capture.json";
 inline constexpr char kGivenModelDir[] = "sparse";  // beside capture.json, where the capture brings poses
+
+// Places of paths in their byte order, which is that of taking where a capture is `ordered`.
+std::vector<size_t> OrderByPath(const std::vector<std::filesystem::path>& paths);
 
 // "ignore" or "background".
 const char* MasksName(Masks masks);

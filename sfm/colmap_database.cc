@@ -30,10 +30,13 @@ class Connection {
   Connection(const Connection&) = delete;
   Connection& operator=(const Connection&) = delete;
 
-  void ForEachRow(const char* query, const std::function<void(sqlite3_stmt*)>& row) {
+  // `bind` sets the query's parameters.
+  void ForEachRow(const char* query, const std::function<void(sqlite3_stmt*)>& row,
+                  const std::function<void(sqlite3_stmt*)>& bind = {}) {
     sqlite3_stmt* prepared = nullptr;
     int status = sqlite3_prepare_v2(database_, query, -1, &prepared, nullptr);
     const std::unique_ptr<sqlite3_stmt, decltype(&sqlite3_finalize)> statement(prepared, sqlite3_finalize);
+    if (status == SQLITE_OK && bind) bind(statement.get());
     while (status == SQLITE_OK || status == SQLITE_ROW) {
       status = sqlite3_step(statement.get());
       if (status == SQLITE_ROW) row(statement.get());
@@ -91,6 +94,28 @@ FeatureDescriptors ReadFeatureDescriptors(const std::filesystem::path& file, uin
     }
   });
   return result;
+}
+
+void SetLenses(const std::filesystem::path& file, const std::map<uint32_t, ColmapCamera>& cameras) {
+  Connection connection(file);
+  const auto run = [&](const char* statement, const std::function<void(sqlite3_stmt*)>& bind = {}) {
+    connection.ForEachRow(
+        statement, [](sqlite3_stmt*) {}, bind);
+  };
+  run("BEGIN");  // left open by what throws: closing the connection rolls it back
+  for (const auto& [id, camera] : cameras) {
+    run("UPDATE cameras SET model = ?, width = ?, height = ?, params = ?, prior_focal_length = 1 WHERE camera_id = ?",
+        [&, id = id](sqlite3_stmt* statement) {
+          sqlite3_bind_int(statement, 1, int(camera.model));
+          sqlite3_bind_int(statement, 2, camera.width);
+          sqlite3_bind_int(statement, 3, camera.height);
+          sqlite3_bind_blob(statement, 4, camera.params.data(), int(camera.params.size() * sizeof(double)),
+                            SQLITE_TRANSIENT);
+          sqlite3_bind_int64(statement, 5, id);
+        });
+  }
+  run("DELETE FROM two_view_geometries");
+  run("COMMIT");
 }
 
 }  // namespace nrff

@@ -1,5 +1,5 @@
-// What COLMAP's database holds so far (SQLite; tables images, keypoints, descriptors, two_view_geometries). Read only:
-// COLMAP is the one that writes it.
+// What COLMAP's database holds so far (SQLite; tables images, keypoints, descriptors, two_view_geometries). COLMAP is
+// the one that writes it, but for lenses that were found.
 #pragma once
 
 #include <Eigen/Core>
@@ -9,6 +9,8 @@
 #include <set>
 #include <string>
 #include <utility>
+
+#include "sfm/colmap_model.h"
 
 namespace nrff {
 
@@ -30,5 +32,9 @@ using FeatureDescriptors = Eigen::Matrix<uint8_t, Eigen::Dynamic, Eigen::Dynamic
 
 // The descriptors of an image's features; none where it has not been extracted. Throws CorruptError as above.
 FeatureDescriptors ReadFeatureDescriptors(const std::filesystem::path& file, uint32_t image_id);
+
+// Makes these the cameras of that id, known as if by EXIF, and forgets which matches were verified, so that COLMAP does
+// that again with them. All or nothing. Throws CorruptError as above.
+void SetLenses(const std::filesystem::path& file, const std::map<uint32_t, ColmapCamera>& cameras);
 
 }  // namespace nrff

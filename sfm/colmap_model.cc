@@ -1,6 +1,7 @@
 #include "sfm/colmap_model.h"
 
 #include <cmath>
+#include <iterator>
 #include <utility>
 
 #include "pipeline/error.h"
@@ -56,6 +57,13 @@ void CheckReferences(const ColmapModel& model, const std::filesystem::path& dir)
 }  // namespace
 
 const char* CameraModelName(CameraModel model) { return kModels[static_cast<int>(model)].name; }
+
+std::optional<CameraModel> CameraModelNamed(std::string_view name) {
+  for (size_t i = 0; i < std::size(kModels); ++i) {
+    if (name == kModels[i].name) return CameraModel(int(i));
+  }
+  return {};
+}
 
 int CameraModelParamCount(CameraModel model) { return kModels[static_cast<int>(model)].n_params; }
 

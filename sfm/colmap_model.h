@@ -10,7 +10,9 @@
 #include <cstdint>
 #include <filesystem>
 #include <map>
+#include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 namespace nrff {
@@ -30,7 +32,8 @@ enum class CameraModel : int {
   kThinPrismFisheye = 10,    // fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, sx1, sy1
 };
 
-const char* CameraModelName(CameraModel model);  // "SIMPLE_PINHOLE", …
+const char* CameraModelName(CameraModel model);                      // "SIMPLE_PINHOLE", …
+std::optional<CameraModel> CameraModelNamed(std::string_view name);  // the reverse; nothing for other names
 int CameraModelParamCount(CameraModel model);
 
 struct ColmapCamera {

@@ -15,6 +15,7 @@
 #include "pipeline/files.h"
 #include "pipeline/log.h"
 #include "pipeline/needs.h"
+#include "sfm/added_photos.h"
 #include "sfm/capture.h"
 #include "sfm/image_measures.h"
 #include "sfm/masks.h"
@@ -161,6 +162,17 @@ int GroupCameras(std::vector<CaptureImage>& images) {
   return static_cast<int>(groups.size());
 }
 
+// Added photos may lie between the earlier ones.
+bool IsOrderedByPath(const std::vector<fs::path>& paths, const std::vector<std::optional<std::string>>& timestamps) {
+  std::vector<fs::path> sorted_paths;
+  std::vector<std::optional<std::string>> sorted_timestamps;
+  for (const size_t i : OrderByPath(paths)) {
+    sorted_paths.push_back(paths[i]);
+    sorted_timestamps.push_back(timestamps[i]);
+  }
+  return IsOrdered(sorted_paths, sorted_timestamps);
+}
+
 Capture MakeCapture(const Source& source, std::optional<Masks> masks, std::vector<MeasuredPhoto> photos) {
   Capture capture;
   capture.name = source.name;
@@ -211,11 +223,50 @@ Capture MakeCapture(const Source& source, std::optional<Masks> masks, std::vecto
   // Frames are chosen by how the picture moves: gaps in their numbers say nothing.
   const bool one_video = source.videos.size() == 1 && std::all_of(capture.images.begin(), capture.images.end(),
                                                                   [](const auto& image) { return image.extracted; });
-  capture.ordered = one_video || IsOrdered(paths, timestamps);
+  capture.ordered = one_video || IsOrderedByPath(paths, timestamps);
   for (const std::vector<int>& group : GroupAlike(looks)) {
     std::vector<std::string>& names = capture.duplicates.emplace_back();
     for (int index : group) names.push_back(EscapePath(paths[index]));
   }
+  return capture;
+}
+
+// The earlier capture's photos first, in its order, so that they keep their ids; photos that cannot be used stay last.
+std::vector<MeasuredPhoto> InEarlierOrder(const AddedPhotos& added, const std::vector<size_t>& usable,
+                                          std::vector<MeasuredPhoto> photos) {
+  std::vector<MeasuredPhoto> ordered;
+  for (const std::vector<size_t>* places : {&added.earlier, &added.added}) {
+    for (const size_t i : *places) ordered.push_back(photos[usable[i]]);
+  }
+  for (MeasuredPhoto& photo : photos) {
+    if (photo.rejected) ordered.push_back(std::move(photo));
+  }
+  return ordered;
+}
+
+constexpr char kCountedOn[] = "; added photos count on";  // in split_rule
+
+// The capture as an extension of an earlier one; nothing, with the reason, where it is none.
+std::optional<Capture> ExtendedCapture(const Source& source, const Capture& earlier, std::optional<Masks> masks,
+                                       const std::vector<MeasuredPhoto>& photos, std::string& why_none) {
+  std::vector<size_t> usable;
+  std::vector<PhotoBytes> now;
+  for (size_t i = 0; i < photos.size(); ++i) {
+    const CaptureImage& image = photos[i].image;
+    if (photos[i].rejected) continue;
+    usable.push_back(i);
+    now.push_back({image.path, image.hash, image.mask, image.mask_hash});
+  }
+  const AddedPhotos added = FindAdded(earlier, source.model.has_value(), !source.videos.empty(), now);
+  why_none = added.why_none;
+  if (!why_none.empty()) return {};
+  Capture capture = MakeCapture(source, masks, InEarlierOrder(added, usable, photos));
+  if (capture.background != earlier.background || capture.masks != earlier.masks) {
+    why_none = "with the added photos, backgrounds and masks mean something else";
+    return {};
+  }
+  for (size_t i = 0; i < earlier.images.size(); ++i) capture.images[i].split = earlier.images[i].split;
+  if (!capture.split_rule.ends_with(kCountedOn)) capture.split_rule += kCountedOn;
   return capture;
 }
 
@@ -351,9 +402,31 @@ void LogOutcome(const Capture& capture, const Json& facts) {
   }
 }
 
+// By the files as they are: photos that turned out to be of no use before are none of those added.
+AddedPhotos ProbeAdded(const Source& source, const Capture& earlier) {
+  std::set<std::string> rejected;
+  for (const RejectedFile& file : earlier.rejected) rejected.insert(file.name);
+  std::vector<PhotoBytes> now;
+  for (const SourceImage& image : source.images) {
+    if (rejected.contains(EscapePath(image.path))) continue;
+    const bool masked = !image.mask.empty();
+    now.push_back({image.path, HashFile(source.root / image.path), image.mask,
+                   masked ? HashFile(source.root / image.mask) : std::string()});
+  }
+  AddedPhotos added = FindAdded(earlier, source.model.has_value(), !source.videos.empty(), now);
+  if (added.why_none.empty() && added.added.empty()) added.why_none = "no photo was added";
+  return added;
+}
+
+void SetExtension(const Capture& earlier, size_t n_added, const std::string& why_none, Json& facts) {
+  const bool is_one = why_none.empty();
+  facts["extension"] = is_one ? Json({{"n_earlier", earlier.images.size()}, {"n_added", n_added}}) : Json();
+  facts["why_anew"] = is_one ? Json() : Json(why_none);
+}
+
 }  // namespace
 
-Json ProbeCapture(const fs::path& capture) {
+Json ProbeCapture(const fs::path& capture, const fs::path& base) {
   const Source source = RecogniseCapture(CapturePath(capture));
   if (source.videos.empty()) CheckEnough(source, source.images.size(), source.rejected);
   std::vector<std::optional<Split>> given;
@@ -371,11 +444,17 @@ Json ProbeCapture(const fs::path& capture) {
   std::vector<Split> splits;
   const std::string rule = FreezeHoldOut(given, splits);
   const int n_test = CountTest(splits), n_images = static_cast<int>(splits.size());
-  return {{"kind", source.kind},          {"name", source.name},
-          {"n_images", n_images},         {"posed", source.model.has_value()},
-          {"split_rule", rule},           {"has_alpha", has_alpha},
-          {"n_train", n_images - n_test}, {"n_test", n_test},
-          {"n_masks", n_masks},           {"n_videos", source.videos.size()}};
+  Json facts = {{"kind", source.kind},          {"name", source.name},
+                {"n_images", n_images},         {"posed", source.model.has_value()},
+                {"split_rule", rule},           {"has_alpha", has_alpha},
+                {"n_train", n_images - n_test}, {"n_test", n_test},
+                {"n_masks", n_masks},           {"n_videos", source.videos.size()}};
+  if (!base.empty()) {
+    const Capture earlier = LoadCapture(base);
+    const AddedPhotos added = ProbeAdded(source, earlier);
+    SetExtension(earlier, added.added.size(), added.why_none, facts);
+  }
+  return facts;
 }
 
 HashedPath CaptureInput(const fs::path& capture) {
@@ -390,7 +469,14 @@ void Ingest(const fs::path& capture_path, const IngestOptions& options, Artifact
   }
   LogInfo(EscapePath(source.root) + " is a capture of kind " + source.kind + ": " + source.evidence);
   const Json videos = TakeFrames(options.frames, artifact, source);
-  Capture capture = MakeCapture(source, options.masks, MeasureAll(source, artifact.dir(), options.n_threads));
+  std::vector<MeasuredPhoto> photos = MeasureAll(source, artifact.dir(), options.n_threads);
+  std::optional<Capture> earlier, extended;
+  std::string why_anew;
+  if (!options.base.empty()) {
+    earlier = LoadCapture(options.base);
+    extended = ExtendedCapture(source, *earlier, options.masks, photos, why_anew);
+  }
+  Capture capture = extended ? std::move(*extended) : MakeCapture(source, options.masks, std::move(photos));
   const int n_cameras = GroupCameras(capture.images);
   SaveCapture(capture, artifact.dir());
   artifact.AddOutput(kCaptureFile);
@@ -407,6 +493,15 @@ void Ingest(const fs::path& capture_path, const IngestOptions& options, Artifact
   artifact.facts()["n_videos"] = videos.size();
   artifact.facts()["n_frames"] = n_frames;
   artifact.facts()["n_frames_kept"] = n_kept;
+  if (earlier) {
+    SetExtension(*earlier, capture.images.size() - earlier->images.size(), why_anew, artifact.facts());
+    if (extended) {
+      LogInfo(artifact.facts()["extension"]["n_added"].dump() + " photos were added to " +
+              std::to_string(earlier->images.size()) + ", which stay held out or not as they were");
+    } else {
+      LogWarning("everything is made anew: " + why_anew);
+    }
+  }
   artifact.AddDecision(needs::Sfm(capture.posed, source.evidence));
   if (options.frames > 0 && source.videos.empty()) LogWarning("--frames does nothing here: there is no video");
   if (options.masks && artifact.facts()["has_alpha"] == false) {

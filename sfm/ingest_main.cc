@@ -4,7 +4,9 @@
 #include <cstdio>
 #include <string>
 #include <thread>
+#include <vector>
 
+#include "pipeline/extension.h"
 #include "pipeline/manifest.h"
 #include "pipeline/stage.h"
 #include "sfm/ingest.h"
@@ -19,12 +21,14 @@ int main(int argc, char** argv) {
   bool probe = false;
   nrff::IngestOptions options;
   options.n_threads = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
-  app.add_option("capture", capture, "Folder of photos, video, transforms.json, NSVF layout or COLMAP model with images")
+  app.add_option("capture", capture,
+                 "Folder of photos, video, transforms.json, NSVF layout or COLMAP model with images")
       ->required();
   auto* where = app.add_option_group("what to do");
   where->require_option(1);
   where->add_option("--out", out, "Write the artifact to this folder");
   where->add_flag("--probe", probe, "Print what the capture is as one JSON object; write nothing");
+  app.add_option("--base", options.base, "Artifact of the same capture with fewer photos, to be extended");
   const auto set_masks = [&](const std::string& meaning) {
     options.without_masks = meaning == "off";
     if (meaning == "ignore") options.masks = nrff::Masks::kIgnore;
@@ -42,10 +46,12 @@ int main(int argc, char** argv) {
   nrff::AddVerbosity(app);
   return nrff::StageMain(app, argc, argv, [&] {
     if (probe) {
-      std::printf("%s\n", nrff::ProbeCapture(capture).dump().c_str());
+      std::printf("%s\n", nrff::ProbeCapture(capture, options.base).dump().c_str());
       return;
     }
-    nrff::ArtifactWriter artifact("ingest", out, nrff::GivenParams(app), {nrff::CaptureInput(capture)});
+    std::vector<nrff::HashedPath> inputs = {nrff::CaptureInput(capture)};
+    if (!options.base.empty()) inputs.push_back(nrff::BaseInput(options.base));
+    nrff::ArtifactWriter artifact("ingest", out, nrff::GivenParams(app), inputs);
     nrff::Ingest(capture, options, artifact);
     artifact.Commit();
   });

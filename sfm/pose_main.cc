@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "pipeline/error.h"
+#include "pipeline/extension.h"
 #include "pipeline/files.h"
 #include "pipeline/manifest.h"
 #include "pipeline/stage.h"
@@ -66,6 +67,7 @@ int main(int argc, char** argv) {
                    "Seconds after which a silent, idle COLMAP is stopped")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
+  estimate->add_option("--base", estimation.base, "Artifact of fewer of the photos, to be extended");
   nrff::AddForcedOption(*estimate, "--matching", estimation.exhaustive, "exhaustive", "selective",
                         "Which pairs of photos are matched");
 
@@ -74,6 +76,15 @@ int main(int argc, char** argv) {
       ->group(nrff::kParameterGroup);
   estimate->add_option("--sfm-features", estimation.max_features, "Features of a photo at the most")
       ->check(CLI::Range(16, 1000000))
+      ->group(nrff::kParameterGroup);
+
+  std::string camera_model = "auto";
+  estimate
+      ->add_option("--camera-model", camera_model,
+                   "COLMAP's model of all lenses; auto: SIMPLE_RADIAL, or a richer one\nwhere the photos need it")
+      ->check(CLI::IsMember({"auto", "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV",
+                             "OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE"}))
+      ->capture_default_str()
       ->group(nrff::kParameterGroup);
 
   CLI::App* normalise = app.add_subcommand("normalise",
@@ -88,6 +99,7 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(nrff::kLeastMaxImageSize, nrff::kMostMaxImageSize))
       ->capture_default_str()
       ->group(nrff::kParameterGroup);
+  normalise->add_option("--base", pose.base, "Artifact of fewer of the photos, whose frame is kept");
   nrff::AddForcedOption(*normalise, "--undistortion", pose.undistortion, "on", "off",
                         "Resample the photos to pinhole images");
   nrff::AddForcedOption(*normalise, "--contraction", pose.contraction, "on", "off",
@@ -157,7 +169,10 @@ int main(int argc, char** argv) {
     }
     if (estimate->parsed()) {
       estimation.n_threads = common.n_threads;
-      nrff::ArtifactWriter artifact("sfm", common.out, nrff::GivenParams(*estimate), {Input(common.ingest, "ingest")},
+      if (camera_model != "auto") estimation.camera_model = nrff::CameraModelNamed(camera_model);
+      std::vector<nrff::HashedPath> inputs = {Input(common.ingest, "ingest")};
+      if (!estimation.base.empty()) inputs.push_back(nrff::BaseInput(estimation.base));
+      nrff::ArtifactWriter artifact("sfm", common.out, nrff::GivenParams(*estimate), inputs,
                                     nrff::ArtifactWriter::kKeepPartial);
       nrff::EstimatePoses(common.ingest, estimation, artifact);
       artifact.Commit();
@@ -169,6 +184,7 @@ int main(int argc, char** argv) {
       throw nrff::UsageError("the capture brings no poses: name the artifact of `nrff-pose estimate` with --sfm");
     }
     if (!sfm.empty()) inputs.push_back(Input(sfm, "sfm"));
+    if (!pose.base.empty()) inputs.push_back(nrff::BaseInput(pose.base));
     nrff::ArtifactWriter artifact("pose", common.out, nrff::GivenParams(*normalise), inputs);
     nrff::WriteScene(common.ingest, (sfm.empty() ? common.ingest : sfm) / nrff::kGivenModelDir, pose, artifact);
     artifact.Commit();

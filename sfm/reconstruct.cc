@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <charconv>
 #include <chrono>
+#include <cmath>
 #include <fstream>
 #include <map>
 #include <optional>
@@ -13,6 +14,8 @@
 #include "pipeline/progress.h"
 #include "sfm/first_look.h"
 #include "sfm/gps.h"
+#include "sfm/lens_model.h"
+#include "sfm/source.h"
 #include "sfm/working_photos.h"
 
 namespace nrff {
@@ -56,23 +59,58 @@ std::string Number(double value) { return Json(value).dump(); }
 class Reconstruction {
  public:
   Reconstruction(const Capture& capture, const SfmSettings& settings, Colmap& colmap, fs::path dir,
-                 const ArtifactWriter& artifact)
-      : capture_(capture), settings_(settings), colmap_(colmap), dir_(std::move(dir)), artifact_(artifact) {}
+                 const ArtifactWriter& artifact, const EarlierMapping* earlier)
+      : capture_(capture),
+        settings_(settings),
+        colmap_(colmap),
+        dir_(std::move(dir)),
+        artifact_(artifact),
+        earlier_(earlier) {}
 
   Attempt Run() {
     Attempt attempt;
     fs::create_directories(dir_);
     WriteWorkingPhotos(capture_, settings_.max_image_size, settings_.n_threads, photos_);
     artifact_.SaveSeconds();
+    if (earlier_ != nullptr) TakeOverDatabase();
     ExtractEnoughFeatures(attempt);
     artifact_.SaveSeconds();
     const ImagePairs pairs = ChoosePairs();
     MatchPairs(pairs, attempt);
     artifact_.SaveSeconds();
-    attempt.models = Map("models", attempt);
-    artifact_.SaveSeconds();
-    JoinPieces(pairs, attempt);
+    if (earlier_ != nullptr) {
+      attempt.grown = Grow(attempt);
+      artifact_.SaveSeconds();
+    }
+    if (!attempt.grown || attempt.grown->images.size() < capture_.images.size() || !earlier_->holds(*attempt.grown)) {
+      attempt.models = Map("models", attempt);
+      artifact_.SaveSeconds();
+      JoinPieces(pairs, attempt);
+    }
     attempt.settings = settings_;
+    attempt.database_file = database_;
+    return attempt;
+  }
+
+  Attempt RunAgain(const Attempt& before, const std::string& name) {
+    Attempt attempt;
+    database_ = dir_ / (name + ".db");
+    if (!fs::exists(database_)) {
+      const fs::path partial = dir_ / (name + ".partial.db");
+      fs::copy_file(before.database_file, partial, fs::copy_options::overwrite_existing);
+      std::map<uint32_t, ColmapCamera> cameras;
+      for (const auto& [group, lens] : settings_.lenses) {
+        if (const auto id = CameraOf(before.database, group)) cameras[*id] = AtWorkingSize(lens);
+      }
+      SetLenses(partial, cameras);
+      fs::rename(partial, database_);
+    }
+    MatchPairs(MatchedPairs(before.database), attempt);
+    artifact_.SaveSeconds();
+    attempt.models = Map(name, attempt);
+    artifact_.SaveSeconds();
+    attempt.settings = settings_;
+    attempt.database_file = database_;
     return attempt;
   }
 
@@ -81,6 +119,14 @@ class Reconstruction {
     return {{"random_seed", std::to_string(settings_.seed)}, {"database_path", database_.native()}};
   }
   std::string Threads() const { return std::to_string(settings_.n_threads); }
+
+  void TakeOverDatabase() {
+    if (fs::exists(database_)) return;
+    fs::path copy = database_;
+    copy += ".partial";
+    fs::copy_file(earlier_->database, copy, fs::copy_options::overwrite_existing);
+    fs::rename(copy, database_);
+  }
 
   // Photos of a camera group that still have no features.
   std::map<int, std::vector<const CaptureImage*>> PendingGroups(const ColmapDatabase& database) const {
@@ -98,7 +144,7 @@ class Reconstruction {
   // Photos of smooth things: fainter features are taken, too.
   void ExtractEnoughFeatures(Attempt& attempt) {
     ExtractFeatures(attempt);
-    if (settings_.peak_threshold > 0 || MedianFeatures() >= kFewFeatures) return;
+    if (earlier_ != nullptr || settings_.peak_threshold > 0 || MedianFeatures() >= kFewFeatures) return;
     settings_.peak_threshold = kFaint;
     database_ = dir_ / "faint.db";
     ExtractFeatures(attempt);
@@ -130,7 +176,7 @@ class Reconstruction {
       options.insert(options.end(), {{"image_path", photos_.native()},
                                      {"image_list_path", list_file.native()},
                                      {"ImageReader.single_camera", "1"},
-                                     {"ImageReader.camera_model", "SIMPLE_RADIAL"},
+                                     {"ImageReader.camera_model", CameraModelName(ModelOf(camera))},
                                      {"SiftExtraction.use_gpu", "0"},
                                      {"SiftExtraction.num_threads", Threads()},
                                      {"SiftExtraction.max_num_features", std::to_string(settings_.max_features)},
@@ -141,7 +187,7 @@ class Reconstruction {
         options.emplace_back("SiftExtraction.peak_threshold", Number(settings_.peak_threshold));
       if (const auto id = CameraOf(database, camera)) {
         options.emplace_back("ImageReader.existing_camera_id", std::to_string(*id));
-      } else if (const std::string params = CameraParams(photos.front()->info); !params.empty()) {
+      } else if (const std::string params = CameraParams(*photos.front()); !params.empty()) {
         options.emplace_back("ImageReader.camera_params", params);
       }
       colmap_.RunOrThrow("feature_extractor", options, 600 + 60 * double(photos.size()), [&](std::string_view line) {
@@ -162,11 +208,33 @@ class Reconstruction {
     return {};
   }
 
-  std::string CameraParams(const ImageInfo& info) const {
-    if (!info.focal_px) return {};
+  ColmapCamera AtWorkingSize(const ColmapCamera& lens) const {
+    const auto [width, height] = WorkingSize(lens.width, lens.height, settings_.max_image_size);
+    return ScaledCamera(lens, width, height);
+  }
+
+  CameraModel ModelOf(int group) const {
+    const auto known = settings_.lenses.find(group);
+    return known == settings_.lenses.end() ? settings_.camera_model : known->second.model;
+  }
+
+  // Of the photo's camera at the working size; empty where nothing is known.
+  std::string CameraParams(const CaptureImage& photo) const {
+    const ImageInfo& info = photo.info;
     const auto [width, height] = WorkingSize(info.width, info.height, settings_.max_image_size);
-    const double focal = *info.focal_px * std::max(width, height) / std::max(info.width, info.height);
-    return Number(focal) + "," + Number(width / 2.0) + "," + Number(height / 2.0) + ",0";
+    std::vector<double> params;
+    if (const auto known = settings_.lenses.find(photo.camera); known != settings_.lenses.end()) {
+      params = ScaledCamera(known->second, width, height).params;
+    } else if (info.focal_px) {
+      const CameraModel model = settings_.camera_model;
+      const double focal = *info.focal_px * std::max(width, height) / std::max(info.width, info.height);
+      params.assign(lens_model::HasOneFocalLength(model) ? 1 : 2, focal);
+      params.insert(params.end(), {width / 2.0, height / 2.0});
+      params.resize(size_t(CameraModelParamCount(model)), 0.0);
+    }
+    std::string text;
+    for (const double param : params) text.append(text.empty() ? "" : ",").append(Number(param));
+    return text;
   }
 
   // In batches, so that progress shows and an interruption costs little.
@@ -221,17 +289,51 @@ class Reconstruction {
     return ids;
   }
 
+  ImagePairs MatchedPairs(const ColmapDatabase& database) const {
+    const std::vector<uint32_t> ids = ImageIds(database);
+    std::map<uint32_t, int> index_of;
+    for (size_t i = 0; i < ids.size(); ++i) index_of[ids[i]] = int(i);
+    ImagePairs pairs;
+    for (const auto& [pair, n] : database.verified_matches)
+      pairs.emplace_back(std::minmax(index_of.at(pair.first), index_of.at(pair.second)));
+    std::sort(pairs.begin(), pairs.end());
+    return pairs;
+  }
+
   ImagePairs ChoosePairs() {
+    ImagePairs pairs = ChooseAmongAll();
+    if (earlier_ == nullptr) return pairs;
+    std::erase_if(pairs, [&](const ImagePair& pair) { return IsEarlier(pair.first) && IsEarlier(pair.second); });
+    return pairs;
+  }
+
+  bool IsEarlier(int i) const { return earlier_->photos.contains(WorkingPhotoName(capture_.images[size_t(i)])); }
+
+  ImagePairs ChooseAmongAll() {
     const std::vector<uint32_t> ids = ImageIds(ReadColmapDatabase(database_));
     const int n_images = int(ids.size());
     if (settings_.exhaustive) return AllPairs(n_images);
     similarity_ = PhotoSimilarities(ids.size(), [&](size_t i) { return ReadFeatureDescriptors(database_, ids[i]); });
     ImagePairs pairs = MostSimilarPairs(similarity_, settings_.n_neighbours);
-    if (capture_.ordered) pairs = Union(pairs, SequentialPairs(n_images, settings_.n_next));
+    if (capture_.ordered) pairs = Union(pairs, NextPairs());
     if (settings_.n_nearest > 0) {
       const Eigen::MatrixXf nearness = Nearness(LocalPositions(GpsPositions(capture_)));
       pairs = Union(pairs, MostSimilarPairs(nearness, settings_.n_nearest));
     }
+    return pairs;
+  }
+
+  // In the order of taking, which is not that of the ids where photos were added.
+  ImagePairs NextPairs() const {
+    std::vector<fs::path> paths;
+    for (const CaptureImage& photo : capture_.images) paths.push_back(photo.path);
+    const std::vector<size_t> order = OrderByPath(paths);
+    ImagePairs pairs;
+    for (const auto& [a, b] : SequentialPairs(int(order.size()), settings_.n_next)) {
+      const auto [first, second] = std::minmax(order[size_t(a)], order[size_t(b)]);
+      pairs.emplace_back(int(first), int(second));
+    }
+    std::sort(pairs.begin(), pairs.end());
     return pairs;
   }
 
@@ -260,6 +362,22 @@ class Reconstruction {
     artifact_.SaveSeconds();
   }
 
+  // Nothing where COLMAP does not bring the model back.
+  std::optional<ColmapModel> Grow(Attempt& attempt) {
+    const auto start = Clock::now();
+    const fs::path folder = dir_ / "grown", finished = dir_ / "grown.finished";
+    if (!fs::exists(finished)) {
+      fs::remove_all(folder);
+      fs::create_directories(folder);
+      RunMapper(folder, earlier_->model);
+      WriteFileAtomically(finished, "");
+    }
+    attempt.seconds_mapping += SecondsSince(start);
+    // Of a model that it was given, COLMAP writes what it became into the folder itself.
+    if (!fs::exists(folder / "images.bin")) return {};
+    return ReadColmapModel(folder);
+  }
+
   std::vector<ColmapModel> Map(const std::string& name, Attempt& attempt) {
     const auto start = Clock::now();
     const fs::path folder = dir_ / name, finished = dir_ / (name + ".finished");
@@ -278,8 +396,10 @@ class Reconstruction {
     return models;
   }
 
-  void RunMapper(const fs::path& models) {
+  // `grown`: the model to start from; empty: none.
+  void RunMapper(const fs::path& models, const fs::path& grown = {}) {
     Colmap::Options options = Common();
+    if (!grown.empty()) options.emplace_back("input_path", grown.native());
     options.insert(options.end(), {{"image_path", photos_.native()},
                                    {"output_path", models.native()},
                                    {"Mapper.num_threads", Threads()},
@@ -293,6 +413,13 @@ class Reconstruction {
                                      {"Mapper.init_min_num_inliers", "50"},
                                      {"Mapper.abs_pose_min_num_inliers", "20"}});
     }
+    // COLMAP takes coefficients beyond 1 for a failure, and photos with these out.
+    double largest = 1;
+    for (const auto& [group, lens] : settings_.lenses) {
+      for (size_t i = size_t(lens_model::FirstDistortion(lens.model)); i < lens.params.size(); ++i)
+        largest = std::max(largest, 2 * std::abs(lens.params[i]));
+    }
+    if (largest > 1) options.emplace_back("Mapper.max_extra_param", Number(largest));
     Progress progress("mapping", double(capture_.images.size()), "photos");
     bool no_model = false;
     const double limit_seconds = 1800 + 120 * double(capture_.images.size());
@@ -312,6 +439,7 @@ class Reconstruction {
   Colmap& colmap_;
   const fs::path dir_;
   const ArtifactWriter& artifact_;
+  const EarlierMapping* earlier_;  // may be null
   fs::path database_ = dir_ / "database.db";
   const fs::path photos_ = dir_ / "photos";
   Eigen::MatrixXf similarity_;  // of the photos; with chosen pairs alone
@@ -326,9 +454,36 @@ const ColmapModel* LargestModel(const std::vector<ColmapModel>& models) {
   return largest == models.end() ? nullptr : &*largest;
 }
 
+Json ToJson(const SfmSettings& settings) {
+  return {{"name", settings.name},
+          {"max_image_size", settings.max_image_size},
+          {"max_features", settings.max_features},
+          {"first_octave", settings.first_octave},
+          {"peak_threshold", settings.peak_threshold},
+          {"n_neighbours", settings.n_neighbours},
+          {"tolerant_mapping", settings.tolerant_mapping}};
+}
+
+SfmSettings SfmSettingsFromJson(const Json& json, const std::string& where) {
+  SfmSettings settings;
+  settings.name = Get<std::string>(json, "name", where);
+  settings.max_image_size = Get<int>(json, "max_image_size", where);
+  settings.max_features = Get<int>(json, "max_features", where);
+  settings.first_octave = Get<int>(json, "first_octave", where);
+  settings.peak_threshold = Get<double>(json, "peak_threshold", where);
+  settings.n_neighbours = Get<int>(json, "n_neighbours", where);
+  settings.tolerant_mapping = Get<bool>(json, "tolerant_mapping", where);
+  return settings;
+}
+
 Attempt Reconstruct(const Capture& capture, const SfmSettings& settings, Colmap& colmap, const fs::path& dir,
-                    const ArtifactWriter& artifact) {
-  return Reconstruction(capture, settings, colmap, dir, artifact).Run();
+                    const ArtifactWriter& artifact, const EarlierMapping* earlier) {
+  return Reconstruction(capture, settings, colmap, dir, artifact, earlier).Run();
+}
+
+Attempt ReconstructWithLenses(const Capture& capture, const Attempt& before, const std::string& name, Colmap& colmap,
+                              const fs::path& dir, const ArtifactWriter& artifact) {
+  return Reconstruction(capture, before.settings, colmap, dir, artifact, nullptr).RunAgain(before, name);
 }
 
 }  // namespace nrff

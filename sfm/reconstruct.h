@@ -2,10 +2,17 @@
 //
 // Everything is kept below the attempt's folder and used again by an attempt that goes on from it: photos already
 // scaled, features already extracted, pairs already matched, a reconstruction already finished.
+//
+// Photos of a group (Capture) share a camera. Where nothing better is known of a lens it is a SIMPLE_RADIAL one of the
+// focal length that the photos give.
 #pragma once
 
 #include <cstdint>
 #include <filesystem>
+#include <functional>
+#include <map>
+#include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -29,14 +36,30 @@ struct SfmSettings {
   int n_next = 3;                 // and, in a capture in the order of taking, with this many next ones
   int n_nearest = 0;              // and with this many nearest ones by GPS
   bool tolerant_mapping = false;  // place photos by fewer matches and smaller parallax
+  CameraModel camera_model = CameraModel::kSimpleRadial;  // of lenses that are not known
+  std::map<int, ColmapCamera> lenses;                     // known ones, by group; of any size of the photos
   uint64_t seed = 0;
   int n_threads = 1;
 };
 
+Json ToJson(const SfmSettings& settings);  // without matching, seed and threads
+// Throws CorruptError beginning with `where`.
+SfmSettings SfmSettingsFromJson(const Json& json, const std::string& where);
+
+// What a reconstruction of fewer of the capture's photos left, under the same ids.
+struct EarlierMapping {
+  std::filesystem::path database, model;  // the database is copied, never opened
+  std::set<std::string> photos;           // in the database: WorkingPhotoName
+  // Whether the model grown by the added photos holds; if not, or where it lacks photos, all are mapped from scratch.
+  std::function<bool(const ColmapModel& grown)> holds;
+};
+
 struct Attempt {
-  SfmSettings settings;             // as they came to be
-  std::vector<ColmapModel> models;  // of the working photos; may be none
-  ColmapDatabase database;          // after matching
+  SfmSettings settings;              // as they came to be
+  std::vector<ColmapModel> models;   // of the working photos; may be none
+  std::optional<ColmapModel> grown;  // the earlier model with the added photos, where there was one
+  ColmapDatabase database;           // after matching
+  std::filesystem::path database_file;
   size_t n_pairs = 0;
   double seconds_features = 0, seconds_matching = 0, seconds_mapping = 0;
 };
@@ -47,7 +70,17 @@ const ColmapModel* LargestModel(const std::vector<ColmapModel>& models);
 // Throws what Colmap throws; a mapper that finds no model is no failure. Where photos stay outside of the largest
 // model, pairs of them with it are matched, too, and if any of these hold, mapping is done again: pieces that were
 // joined by too few pairs become one.
+//
+// With an earlier mapping (whose settings these have to be) features of added photos alone are found, pairs with an
+// added photo alone are matched, and the earlier model grows by them; `models` is then empty where nothing more was
+// tried.
 Attempt Reconstruct(const Capture& capture, const SfmSettings& settings, Colmap& colmap,
-                    const std::filesystem::path& dir, const ArtifactWriter& artifact);
+                    const std::filesystem::path& dir, const ArtifactWriter& artifact,
+                    const EarlierMapping* earlier = nullptr);
+
+// The attempt `before`, of the folder `dir`, from its matches on with the lenses that its settings now know: verified
+// again, mapped again. Groups without one keep the lens they had. `name`: of its files below `dir`.
+Attempt ReconstructWithLenses(const Capture& capture, const Attempt& before, const std::string& name, Colmap& colmap,
+                              const std::filesystem::path& dir, const ArtifactWriter& artifact);
 
 }  // namespace nrff

@@ -7,12 +7,14 @@
 #include <set>
 
 #include "pipeline/error.h"
+#include "pipeline/extension.h"
 #include "pipeline/files.h"
 #include "pipeline/log.h"
 #include "pipeline/scene.h"
 #include "sfm/capture.h"
 #include "sfm/colmap_model.h"
 #include "sfm/distortion.h"
+#include "sfm/earlier_frame.h"
 #include "sfm/image_pack.h"
 #include "sfm/normalise.h"
 #include "sfm/sparse_depth.h"
@@ -121,6 +123,23 @@ NormaliseInput NormalisationInput(const Capture& capture, const ColmapModel& mod
   return input;
 }
 
+// The base's frame, where the model is in its world and the frame suits it.
+std::optional<EarlierFrame> KeptFrame(const PoseOptions& options, const fs::path& model_dir,
+                                      const NormaliseInput& input, const Normalisation& anew,
+                                      ArtifactWriter& artifact) {
+  const fs::path extension = model_dir.parent_path() / kExtensionFile;
+  if (options.base.empty() || !fs::exists(extension)) return {};
+  const Json json = ReadJson(extension);
+  const std::string where = EscapePath(extension);
+  CheckSchemaVersion(json, kExtensionSchemaVersion, where);
+  if (!Get<bool>(json, "frame_kept", where)) return {};
+  EarlierFrame earlier = ReadEarlierFrame(options.base);
+  const Decision decision = DecideFrame(earlier, anew, input.points);
+  artifact.AddDecision(decision);
+  if (decision.needed) return {};
+  return earlier;
+}
+
 Mat4 RowMajor(const Eigen::Matrix4d& m) {
   Mat4 result{};
   for (int i = 0; i < 16; ++i) result[size_t(i)] = m(i / 4, i % 4);
@@ -216,8 +235,8 @@ ColmapModel WithoutMasked(ColmapModel pinhole, const std::map<uint32_t, uint32_t
 
 // Gives the views their colour gains.
 void MeasureExposures(const ColmapModel& pinhole, const std::vector<PosedPhoto>& posed,
-                      const std::map<uint32_t, uint32_t>& view_of_image, const ImagePack& pack, Scene& scene,
-                      Json& facts) {
+                      const std::map<uint32_t, uint32_t>& view_of_image, const ImagePack& pack,
+                      const std::optional<EarlierFrame>& kept, Scene& scene, Json& facts) {
   std::vector<WrittenExposure> written;
   for (const PosedPhoto& p : posed) {
     const ImageInfo& info = p.photo->info;
@@ -225,6 +244,7 @@ void MeasureExposures(const ColmapModel& pinhole, const std::vector<PosedPhoto>&
   }
   const ViewExposures exposures = MeasureViewExposures(pinhole, view_of_image, scene, pack, written);
   for (size_t i = 0; i < scene.views.size(); ++i) scene.views[i].colour_gain = exposures.gain[i];
+  if (kept) KeepExposure(*kept, scene);
   facts["exposure_source"] = exposures.source;
   facts["exposure_spread_ev"] = ExposureSpread(scene);
 }
@@ -253,8 +273,11 @@ void WriteScene(const fs::path& ingest_dir, const fs::path& model_dir, const Pos
   const std::map<uint32_t, TargetCamera> cameras = ChooseTargets(model, posed, options, artifact);
   for (PosedPhoto& p : posed) p.camera = &cameras.at(p.image->camera_id);
 
-  const Normalisation normalisation = Normalise(NormalisationInput(capture, model, posed), options.contraction);
+  const NormaliseInput input = NormalisationInput(capture, model, posed);
+  Normalisation normalisation = Normalise(input, options.contraction);
   artifact.AddDecision(normalisation.contraction);
+  const std::optional<EarlierFrame> kept = KeptFrame(options, model_dir, input, normalisation, artifact);
+  if (kept) normalisation = InFrame(*kept, normalisation);
   Scene scene = MakeScene(capture, posed, normalisation);
 
   std::vector<PackEntry> entries;
@@ -266,7 +289,7 @@ void WriteScene(const fs::path& ingest_dir, const fs::path& model_dir, const Pos
   std::map<uint32_t, uint32_t> view_of_image;
   for (size_t i = 0; i < posed.size(); ++i) view_of_image[posed[i].image->id] = uint32_t(i);
   const ImagePack pack(artifact.dir());
-  MeasureExposures(pinhole, posed, view_of_image, pack, scene, artifact.facts());
+  MeasureExposures(pinhole, posed, view_of_image, pack, kept, scene, artifact.facts());
   SaveScene(scene, artifact.dir());
 
   const std::vector<SparseDepth> depths = MeasureSparseDepths(WithoutMasked(pinhole, view_of_image, scene, pack),

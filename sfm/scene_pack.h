@@ -18,15 +18,18 @@
 namespace nrff {
 
 struct PoseOptions {
-  int max_image_size = kMaxImageSize;          // px, longer side
-  std::optional<bool> undistortion;  // forced either way
-  std::optional<bool> contraction;   // forced either way
+  int max_image_size = kMaxImageSize;  // px, longer side
+  std::optional<bool> undistortion;    // forced either way
+  std::optional<bool> contraction;     // forced either way
+  std::filesystem::path base;          // a pose artifact whose frame is kept where it suits all photos; empty: none
   int n_threads = 1;
 };
 
 // `ingest_dir` holds capture.json, `model_dir` the COLMAP model whose image names are the capture's ids. Writes
-// payload, facts and decisions. Throws InputError when a photo changed since it was ingested, when its camera is of
-// another size, or when fewer than two training views have a pose; ResourceError when the pack does not fit the disk.
+// payload, facts and decisions. The base's frame is kept where extension.json beside `model_dir` says that the model is
+// in its world, and DecideFrame that it suits. Throws InputError when a photo changed since it was ingested, when its
+// camera is of another size, or when fewer than two training views have a pose; ResourceError when the pack does not
+// fit the disk.
 void WriteScene(const std::filesystem::path& ingest_dir, const std::filesystem::path& model_dir,
                 const PoseOptions& options, ArtifactWriter& artifact);
 

@@ -126,7 +126,28 @@ Trajectory ReadPoseFolder(const fs::path& dir) {
 
 bool HoldsModel(const fs::path& dir) { return IsFile(dir / "images.bin") || IsFile(dir / "images.txt"); }
 
+// cameras.json of a train artifact: the cameras as training has corrected them, called by their photos' names.
+Trajectory ReadCorrectedCameras(const fs::path& file) {
+  const std::string where = EscapePath(file);
+  const Json json = ReadJson(file);
+  Trajectory trajectory;
+  for (const Json& view : Get<Json>(json, "views", where)) {
+    if (Get<std::string>(view, "split", where) != "train") continue;
+    const auto pose = Get<std::array<double, 16>>(view, "scene_from_camera", where);
+    const Eigen::Matrix4d matrix = Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(pose.data());
+    const Eigen::Matrix3d rotation = matrix.topLeftCorner<3, 3>();
+    if (!matrix.allFinite() || !IsScaledRotation(rotation, 1) || rotation.determinant() < 0) {
+      throw CorruptError(where + ": the pose of view " + Get<std::string>(view, "id", where) +
+                         " holds no rotation; train again");
+    }
+    trajectory.push_back({fs::path(Get<std::string>(view, "name", where)).replace_extension().string(),
+                          Eigen::Quaterniond(rotation).normalized(), matrix.topRightCorner<3, 1>()});
+  }
+  return trajectory;
+}
+
 Trajectory ReadFolder(const fs::path& path) {
+  if (IsFile(path / "cameras.json")) return ReadCorrectedCameras(path / "cameras.json");
   for (const fs::path& place : {path / "pose" / "sparse", path / "sparse", path}) {
     const bool is_artifact = IsFile(path / kManifestName);
     const bool made_here = place == path || IsFile(path / kWorkspaceMarker) || is_artifact;

@@ -19,7 +19,8 @@ using Trajectory = std::vector<TrajectoryPose>;  // by name
 
 // Reads what is at `path`:
 //   a .log file as Tanks & Temples has them: blocks of three whole numbers and a 4×4 world_from_camera
-//   a workspace, an artifact or a folder with a COLMAP model: that model
+//   a train artifact whose cameras were corrected: these, of the training views
+//   a workspace, another artifact or a folder with a COLMAP model: that model
 //   a folder of .txt files with a 4×4 world_from_camera each, as NSVF's pose/: where its 3×3 part is no rotation to
 //   1e-3, as in data sets of perturbed poses, the nearest one (to a tenth)
 //   a capture with poses (transforms.json, NSVF, COLMAP)

@@ -110,6 +110,7 @@ Preset BallPreset(int64_t steps) {
   preset.train.occupancy_cells = 2048;
   preset.train.step_voxels = {16, 32};
   preset.train.step_moments = {0.2};
+  preset.train.camera_moments = {};
   return preset;
 }
 

@@ -33,9 +33,10 @@ class TrainTest : public ::testing::Test {
   // On the CPU, by the parameters that the state has.
   double HeldOutPsnr(const Trainer& trainer) const {
     const TrainState& state = trainer.state();
-    return HeldOutViews(scene_, pack_, 1).Psnr([&](const View& /*view*/, const Rays& rays) {
+    const auto render = [&](const View& /*view*/, const Rays& rays) {
       return RenderRays(state.field, state.occupancy, state.map, rays, trainer.EvaluationOptions()).rgb;
-    });
+    };
+    return HeldOutViews(scene_, pack_, 1).Psnr(render, [&](const View& view) { return trainer.Corrected(view); });
   }
   // The bytes that SaveModel writes for the state.
   std::string ModelBytes(const Trainer& trainer) const {

@@ -319,6 +319,71 @@ TEST(BundleDegeneracy, APlaneSeenSquareHoldsTheFocalLength) {
   EXPECT_THAT(RefineBundle(Perturbed(tilted, 0.002), {}).certificate.held, IsEmpty());
 }
 
+std::vector<std::string> Structure(const ColmapModel& model) { return RefineBundle(model, {}).certificate.structure; }
+
+// Translation alone leaves x = f X / (Z − t) as it is for f → s f, X → X / s: the focal length and the scene's width
+// are one unknown.
+TEST(BundleDegeneracy, ForwardMotionIsNamedAndHoldsTheFocalLength) {
+  ColmapModel truth;
+  truth.cameras[1] = {1, CameraModel::kSimplePinhole, 640, 480, {400, 320, 240}};
+  for (int i = 0; i < 9; ++i) AddImage(truth, 1, Eigen::Matrix3d::Identity(), {0, 0, 0.4 * i});
+  std::vector<Vector3d> points = PointsInBall(300, 4, 4);
+  for (Vector3d& point : points) point.z() += 10;
+  AddPoints(truth, points);
+  Observe(truth);
+  ColmapModel noisy = truth;
+  AddNoise(noisy, 0.3, 5);
+  for (const ColmapModel& start : {Perturbed(truth, 1e-4), noisy}) {
+    const BundleCertificate certificate = RefineBundle(start, {}).certificate;
+    EXPECT_THAT(certificate.held, testing::Contains("focal length of camera 1"));
+    ASSERT_TRUE(certificate.degeneracy);
+    EXPECT_THAT(*certificate.degeneracy, HasSubstr("forward motion: the cameras move along their viewing direction"));
+    EXPECT_THAT(certificate.structure, testing::Contains(HasSubstr("no turning")));
+  }
+}
+
+TEST(BundleDegeneracy, ShapesAreNamedWhereTheyAreAndNowhereElse) {
+  EXPECT_THAT(Structure(Ring(kRadial)), IsEmpty());
+  // Sideways along a line, looking across it: no forward motion; turning about the axis is some.
+  const auto along = [](const Vector3d& step, double roll, double aside) {
+    ColmapModel model;
+    model.cameras[1] = {1, CameraModel::kSimplePinhole, 640, 480, {400, 320, 240}};
+    for (int i = 0; i < 10; ++i) {
+      const Vector3d center = (i - 5) * step + aside * Vector3d(i % 2, i / 2 % 2, 0);
+      AddImage(model, 1, Eigen::Matrix3d(Eigen::AngleAxisd(roll * i, Vector3d::UnitZ())), center);
+    }
+    std::vector<Vector3d> points = PointsInBall(300, 4, 4);
+    for (Vector3d& point : points) point.z() += 10;
+    AddPoints(model, points);
+    Observe(model);
+    return Structure(Perturbed(model, 1e-4));
+  };
+  EXPECT_THAT(along({0.3, 0, 0}, 0, 0), testing::ElementsAre(HasSubstr("no turning")));
+  EXPECT_THAT(along({0, 0, 0.3}, 0.1, 0), testing::ElementsAre(HasSubstr("forward motion")));
+  EXPECT_THAT(along({0, 0, 0.3}, 0.1, 0.5), IsEmpty());  // zigzag
+}
+
+// A wall as SfM finds it: most points on it but for noise, some wrong ones anywhere.
+TEST(BundleDegeneracy, APlaneIsNamedThroughNoiseAndOutliers) {
+  const auto seen = [](double bump, double share_off) {
+    ColmapModel model;
+    model.cameras[1] = {1, CameraModel::kSimplePinhole, 640, 480, {400, 320, 240}};
+    for (int i = 0; i < 9; ++i) {
+      const Vector3d center(3 * std::cos(0.7 * i), 3 * std::sin(0.7 * i), -3);
+      AddImage(model, 1, LookingAt(center, {0, 0, 0}, i), center);
+    }
+    std::vector<Vector3d> points = PointsInBall(400, 2, 4);
+    for (size_t i = 0; i < points.size(); ++i) points[i].z() *= double(i) < share_off * 400 ? 0.5 : bump;
+    AddPoints(model, points);
+    Observe(model);
+    AddNoise(model, 0.3, 6);
+    return Structure(model);
+  };
+  EXPECT_THAT(seen(0.002, 0.05), testing::ElementsAre(HasSubstr("planar")));
+  EXPECT_THAT(seen(0.002, 0.3), IsEmpty());
+  EXPECT_THAT(seen(0.1, 0), IsEmpty());
+}
+
 TEST(BundleDegeneracy, ImagesThatTooLittleTiesToTheRestAreNamed) {
   // Two halves that share one point: each could turn and grow about it.
   ColmapModel model = Ring(kRadial);

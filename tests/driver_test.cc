@@ -24,7 +24,10 @@
 namespace nrff {
 namespace {
 
+using ::testing::AllOf;
+using ::testing::Contains;
 using ::testing::ElementsAre;
+using ::testing::Field;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::Not;
@@ -145,6 +148,103 @@ TEST_F(DriverTest, ChangedPhotoRunsWhatDependsOnIt) {
   EXPECT_THAT(Ran(), ElementsAre("ingest", "sfm", "pose", "train", "render", "eval"));
 }
 
+class ExtendedRun : public DriverTest {
+ protected:
+  ExtendedRun() {
+    RunFox();
+    Ran();
+  }
+  void AddPhoto(const std::string& name) { WriteFileAtomically(root_ / "fox" / name, name); }
+};
+
+TEST_F(ExtendedRun, TakesOverWhatWasMadeOfThePhotosThatWereThere) {
+  AddPhoto("added.jpg");
+  const std::string text = "1 photos were added to 1: their hold-out, features, matches, poses, frame and model";
+  const std::string before = HashTree(root_ / "work");
+  EXPECT_THAT(Nrff({"plan", Path("fox"), "--workspace", Path("work")}).out,
+              AllOf(HasSubstr(text), HasSubstr("takes the added views' share")));
+  EXPECT_EQ(HashTree(root_ / "work"), before);
+
+  const std::string model = HashFile(root_ / "work/train/checkpoint.safetensors");
+  const ProgramResult extended = RunFox();
+  EXPECT_EQ(extended.exit_code, 0) << extended.err;
+  EXPECT_THAT(extended.err, HasSubstr("info: work: " + text));
+  EXPECT_THAT(Ran(),
+              ElementsAre("ingest", "ingest+", "sfm", "sfm+", "pose", "pose+", "train", "train+", "render", "eval"));
+  EXPECT_EQ(HashFile(root_ / "work/base/train/checkpoint.safetensors"), model);
+  EXPECT_THAT(ReadManifest(root_ / "work/train")->inputs,
+              Contains(Field(&HashedPath::hash, HashTree(root_ / "work/base/train"))));
+  // What there is now is fresh, and stays so wherever the workspace is moved.
+  EXPECT_EQ(RunFox().exit_code, 0);
+  EXPECT_THAT(Ran(), IsEmpty());
+  EXPECT_THAT(Nrff({"status", Path("work")}).out, Not(HasSubstr("stale")));
+  fs::rename(root_ / "work", root_ / "moved");
+  EXPECT_EQ(Nrff({"run", Path("moved")}).exit_code, 0);
+  EXPECT_THAT(Ran(), IsEmpty());
+}
+
+TEST_F(ExtendedRun, DependsOnWhatItExtends) {
+  AddPhoto("added.jpg");
+  RunFox();
+  Ran();
+  WriteFileAtomically(root_ / "work/base/sfm/mapping/database.db", "another");
+  EXPECT_THAT(Nrff({"status", Path("work")}).out, HasSubstr("does not extend what there was of fewer photos"));
+  RunFox();
+  EXPECT_THAT(Ran(), ElementsAre("sfm", "sfm+", "pose", "pose+", "train", "train+", "render", "eval"));
+}
+
+TEST_F(ExtendedRun, IsExtendedAgainFromWhatItBecame) {
+  AddPhoto("added.jpg");
+  RunFox();
+  const std::string second = ReadFile(root_ / "work/train/manifest.json");
+  AddPhoto("later.jpg");
+  EXPECT_THAT(RunFox().err, HasSubstr("1 photos were added to 2"));
+  EXPECT_EQ(ReadFile(root_ / "work/base/train/manifest.json"), second);
+}
+
+TEST_F(ExtendedRun, IsKilledAndGoesOnFromTheSameBase) {
+  AddPhoto("added.jpg");
+  EXPECT_EQ(RunFox({}, {{"FAKE_FAIL", "work/train"}}).exit_code, 3);
+  const std::string base = HashTree(root_ / "work/base");
+  AddPhoto("later.jpg");  // the model of two photos was never made
+  Ran();
+  EXPECT_EQ(RunFox().exit_code, 0);
+  EXPECT_EQ(HashTree(root_ / "work/base"), base);
+  EXPECT_THAT(Ran(),
+              ElementsAre("ingest", "ingest+", "sfm", "sfm+", "pose", "pose+", "train", "train+", "render", "eval"));
+}
+
+TEST_F(ExtendedRun, IsNoneWherePhotosChangedAndSaysSo) {
+  AddPhoto("added.jpg");
+  WriteFileAtomically(root_ / "fox/photo.jpg", "another");
+  const std::string text =
+      "not only were photos added: nothing of the last run is taken over, since photo.jpg was changed";
+  EXPECT_THAT(Nrff({"plan", Path("fox"), "--workspace", Path("work")}).out, HasSubstr(text));
+  EXPECT_THAT(RunFox().err, HasSubstr("warning: work: " + text));
+  EXPECT_THAT(Ran(), ElementsAre("ingest", "sfm", "pose", "train", "render", "eval"));
+  EXPECT_FALSE(fs::exists(root_ / "work/base"));
+}
+
+TEST_F(ExtendedRun, IsNoneOfAnExtensionWherePhotosOfItsBaseChanged) {
+  AddPhoto("added.jpg");
+  RunFox();
+  Ran();
+  WriteFileAtomically(root_ / "fox/photo.jpg", "another");
+  EXPECT_EQ(RunFox().exit_code, 0);
+  EXPECT_THAT(Ran(), ElementsAre("ingest", "ingest+", "sfm", "pose", "train", "render", "eval"));
+  RunFox();
+  EXPECT_THAT(Ran(), IsEmpty());
+}
+
+TEST_F(ExtendedRun, IsNoneWhenEverythingIsAskedForAnew) {
+  AddPhoto("added.jpg");
+  RunFox({"--force"});
+  EXPECT_THAT(Ran(), ElementsAre("ingest", "sfm", "pose", "train", "render", "eval"));
+  EXPECT_FALSE(fs::exists(root_ / "work/base"));
+  RunFox();
+  EXPECT_THAT(Ran(), IsEmpty());
+}
+
 TEST_F(DriverTest, SameBytesFromIngestLeaveTheRestFresh) {
   RunFox();
   Ran();
@@ -188,10 +288,12 @@ TEST_F(DriverTest, PlanTellsWhatTrainingWillDoWhatIsForcedAndWhatIsStillOpen) {
   EXPECT_THAT(plan.out, HasSubstr("left out: sparse_depth — nothing measured yet; forced by an option"));
   EXPECT_THAT(
       plan.out,
-      HasSubstr("measured then: exhaustive_matching, undistortion, contraction, fine_levels, exposure_correction\n"));
+      HasSubstr("measured then: exhaustive_matching, undistortion, contraction, fine_levels, exposure_correction, "
+                "camera_correction\n"));
   const ProgramResult posed = Nrff({"plan", Path("fox")}, {{"FAKE_POSED", "1"}});
   EXPECT_THAT(posed.out,
-              HasSubstr("measured then: undistortion, contraction, sparse_depth, fine_levels, exposure_correction\n"));
+              HasSubstr("measured then: undistortion, contraction, sparse_depth, fine_levels, exposure_correction, "
+                        "camera_correction\n"));
   const ProgramResult early = Nrff({"plan", Path("fox"), "--until", "sfm"});
   EXPECT_THAT(early.out, HasSubstr("measured then: exhaustive_matching\n"));
   EXPECT_THAT(early.out, Not(HasSubstr("training:")));

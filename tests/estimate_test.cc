@@ -7,13 +7,17 @@
 
 #include <algorithm>
 #include <cstdlib>
+#include <functional>
 #include <numeric>
 
+#include "pipeline/extension.h"
 #include "pipeline/process.h"
 #include "sfm/colmap_database.h"
 #include "sfm/image_pairs.h"
 #include "sfm/ingest.h"
+#include "sfm/merged_model.h"
 #include "sfm/working_photos.h"
+#include "tests/bundle_fixture.h"
 #include "tests/pose_fixture.h"
 #include "tests/temporary_directory.h"
 
@@ -42,16 +46,16 @@ done
 case $command in
   feature_extractor) cp "$FAKE/database.db" "$database"; echo "Processed file [1/8]" ;;
   mapper)
-    models="$FAKE"/models
-    [ "$(basename "$output")" = joined ] && models="$FAKE"/joined
+    models="$FAKE/$(basename "$output")"  # models, joined, lenses
     cp -r "$models"/. "$output"; echo "Registering image #1 (3)"
     ;;
 esac
 )sh";
 
 constexpr char kHelp38[] =
-    "--database_path arg\n--image_path arg\n--output_path arg\n--image_list_path arg\n--match_list_path "
-    "arg\n--random_seed arg\n"
+    "--database_path arg\n--image_path arg\n--input_path arg\n--output_path arg\n--image_list_path arg\n"
+    "--match_list_path arg\n--random_seed arg\n"
+    "--ImageReader.camera_model arg\n--ImageReader.camera_params arg\n"
     "--SiftExtraction.use_gpu arg\n--SiftExtraction.peak_threshold arg\n--SiftMatching.use_gpu "
     "arg\n--Mapper.min_model_size arg\n";
 constexpr char kHelp313[] =
@@ -82,11 +86,18 @@ class Estimate : public ::testing::Test {
 
   // COLMAP's tables with all photos, `n_keypoints` features each, all pairs with `n_matches` verified matches.
   void MakeDatabase(int n_matches, int n_keypoints = 1000) {
+    MakeDatabase([&](int, int) { return n_matches; }, n_keypoints);
+  }
+  void MakeDatabase(const std::function<int(int, int)>& n_matches, int n_keypoints = 1000) {
     fs::remove(fake_ / "database.db");
     std::string sql =
         "CREATE TABLE images (image_id INTEGER PRIMARY KEY, name TEXT, camera_id INTEGER);"
         "CREATE TABLE keypoints (image_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
         "CREATE TABLE descriptors (image_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
+        "CREATE TABLE cameras (camera_id INTEGER PRIMARY KEY, model INTEGER, width INTEGER, height INTEGER, params "
+        "BLOB,"
+        " prior_focal_length INTEGER);"
+        "INSERT INTO cameras VALUES (1, 2, 32, 24, zeroblob(32), 0);"
         "CREATE TABLE two_view_geometries (pair_id INTEGER PRIMARY KEY, rows INTEGER);";
     for (size_t i = 0; i < capture_.images.size(); ++i) {
       const std::string id = std::to_string(i + 1);
@@ -96,7 +107,7 @@ class Estimate : public ::testing::Test {
     }
     for (const auto& [a, b] : AllPairs(int(capture_.images.size()))) {
       sql += "INSERT INTO two_view_geometries VALUES (" + std::to_string(2147483647LL * (a + 1) + b + 1) + ", " +
-             std::to_string(n_matches) + ");";
+             std::to_string(n_matches(a, b)) + ");";
     }
     sqlite3* database = nullptr;
     ASSERT_EQ(sqlite3_open((fake_ / "database.db").c_str(), &database), SQLITE_OK);
@@ -109,9 +120,12 @@ class Estimate : public ::testing::Test {
     std::vector<std::string> names;
     names.reserve(photos.size());
     for (const int i : photos) names.push_back(WorkingPhotoName(capture_.images[size_t(i)]));
+    AddModel(number, MakeModel(names, 32, 24, -0.05), folder);
+  }
+  void AddModel(int number, const ColmapModel& model, const std::string& folder) {
     const fs::path dir = fake_ / folder / std::to_string(number);
     fs::create_directories(dir);
-    WriteColmapBinary(MakeModel(names, 32, 24, -0.05), dir);
+    WriteColmapBinary(model, dir);
   }
 
   Manifest Run(const EstimateOptions& options = {}) {
@@ -133,6 +147,13 @@ class Estimate : public ::testing::Test {
     EXPECT_FALSE(fs::exists(sfm_));
   }
 
+  static bool Decided(const Manifest& manifest, const std::string& feature) {
+    for (const Decision& decision : manifest.decisions) {
+      if (decision.feature == feature) return decision.needed;
+    }
+    ADD_FAILURE() << feature << " was not decided";
+    return false;
+  }
   std::string Calls() { return fs::exists(fake_ / "calls") ? ReadFile(fake_ / "calls") : std::string(); }
 
   TemporaryDirectory dir_;
@@ -180,6 +201,103 @@ TEST_F(Estimate, TooFewPhotosAreTriedOnceMoreWithMore) {
   EXPECT_GT(manifest.facts.at("attempts")[1].at("max_features"), manifest.facts.at("attempts")[0].at("max_features"));
 }
 
+// A ring of eight photos with a lens that has a moustache, mapped as if it had none.
+TEST_F(Estimate, RicherLensesAreTakenWherePhotosNeedThem) {
+  const auto mapped = [&](double focal_px, double k, double k2) {
+    ColmapModel model = Ring({1, CameraModel::kRadial, 64, 48, {focal_px, 32, 24, k, k2}}, 8, 1500);
+    AddNoise(model, 0.03, 5);
+    for (auto& [id, image] : model.images) image.name = WorkingPhotoName(capture_.images[id - 1]);
+    fs::remove_all(fake_ / "models");
+    fs::remove_all(fake_ / "lenses");
+    AddModel(0, model, "lenses");
+    model.cameras.at(1) = {1, CameraModel::kSimpleRadial, 64, 48, {focal_px, 32, 24, k / 2}};
+    AddModel(0, model, "models");
+    fs::remove(fake_ / "calls");
+  };
+  mapped(55, -0.4, 0.6);
+  const Manifest narrow = Run();
+  EXPECT_TRUE(Decided(narrow, "richer_lens"));
+  EXPECT_EQ(narrow.facts.at("camera_models"), Json({"RADIAL"}));
+  EXPECT_EQ(narrow.facts.at("attempts").size(), 2u);
+  EXPECT_EQ(narrow.facts.at("n_registered"), 8);
+  EXPECT_THAT(Calls(), Not(HasSubstr("lenses.db")));
+  const ColmapModel found = ReadColmapModel(sfm_ / "sparse");
+  EXPECT_NEAR(found.cameras.at(1).params[3], -0.4, 0.03);
+  EXPECT_NEAR(found.cameras.at(1).params[4], 0.6, 0.1);
+  // Of wide ones, matches are verified and photos mapped again.
+  mapped(34, -0.2, 0.1);
+  const Manifest wide = Run();
+  EXPECT_EQ(wide.facts.at("camera_models"), Json({"RADIAL"}));
+  EXPECT_GT(wide.facts.at("field_of_view_deg"), 95);
+  EXPECT_THAT(Calls(), AllOf(HasSubstr("matches_importer"), HasSubstr("lenses.db")));
+  // Not where another model is asked for.
+  fs::remove(fake_ / "calls");
+  EstimateOptions options;
+  options.camera_model = CameraModel::kSimpleRadial;
+  const Manifest forced = Run(options);
+  EXPECT_EQ(forced.facts.at("camera_models"), Json({"SIMPLE_RADIAL"}));
+  EXPECT_THAT(Calls(), Not(HasSubstr("lenses.db")));
+}
+
+// Photos with a focal length of 20 mm are mapped as a fisheye's, too.
+TEST_F(Estimate, FisheyesAreThoseThatExplainMore) {
+  for (CaptureImage& photo : capture_.images) photo.info.focal_px = 37;
+  SaveCapture(capture_, ingest_);
+  AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
+  const auto as_fisheye = [&](int n_points) {
+    ColmapModel model = Ring({1, CameraModel::kOpenCVFisheye, 64, 48, {30, 30, 32, 24, 0, 0, 0, 0}}, 8, n_points);
+    for (auto& [id, image] : model.images) image.name = WorkingPhotoName(capture_.images[id - 1]);
+    fs::remove_all(fake_ / "fisheye");
+    AddModel(0, model, "fisheye");
+  };
+  as_fisheye(30);  // fewer than the 40 that all photos of the simple model see
+  Manifest manifest = Run();
+  EXPECT_FALSE(Decided(manifest, "fisheye"));
+  EXPECT_EQ(manifest.facts.at("camera_models"), Json({"SIMPLE_RADIAL"}));
+  EXPECT_THAT(Calls(), HasSubstr("fisheye.db"));
+  as_fisheye(300);
+  manifest = Run();
+  EXPECT_TRUE(Decided(manifest, "fisheye"));
+  EXPECT_EQ(manifest.facts.at("camera_models"), Json({"OPENCV_FISHEYE"}));
+  // With 35 mm they are no fisheye's, however much one would explain.
+  for (CaptureImage& photo : capture_.images) photo.info.focal_px = 65;
+  SaveCapture(capture_, ingest_);
+  fs::remove(fake_ / "calls");
+  EXPECT_EQ(Run().facts.at("camera_models"), Json({"SIMPLE_RADIAL"}));
+  EXPECT_THAT(Calls(), Not(HasSubstr("fisheye.db")));
+}
+
+TEST_F(Estimate, LensesAreStartedFromAsAsked) {
+  AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
+  for (CaptureImage& photo : capture_.images) photo.info.focal_px = 50;
+  SaveCapture(capture_, ingest_);
+  EstimateOptions options;
+  options.camera_model = CameraModel::kOpenCVFisheye;
+  Run(options);
+  EXPECT_THAT(Calls(), AllOf(HasSubstr("--ImageReader.camera_model OPENCV_FISHEYE"),
+                             HasSubstr("--ImageReader.camera_params 50.0,50.0,32.0,24.0,0.0,0.0,0.0,0.0")));
+}
+
+TEST_F(Estimate, FoundLensesAreWrittenIntoTheDatabaseAndMatchesForgotten) {
+  const ColmapCamera lens{1, CameraModel::kRadial, 64, 48, {45, 32, 24, -0.25, 0.3}};
+  SetLenses(fake_ / "database.db", {{1, lens}});
+  const ColmapDatabase database = ReadColmapDatabase(fake_ / "database.db");
+  EXPECT_TRUE(database.verified_matches.empty());
+  EXPECT_EQ(database.images.size(), 8u);
+  sqlite3* connection = nullptr;
+  ASSERT_EQ(sqlite3_open((fake_ / "database.db").c_str(), &connection), SQLITE_OK);
+  sqlite3_stmt* row = nullptr;
+  sqlite3_prepare_v2(connection, "SELECT model, width, params, prior_focal_length FROM cameras", -1, &row, nullptr);
+  ASSERT_EQ(sqlite3_step(row), SQLITE_ROW);
+  EXPECT_EQ(sqlite3_column_int(row, 0), 3);
+  EXPECT_EQ(sqlite3_column_int(row, 1), 64);
+  ASSERT_EQ(sqlite3_column_bytes(row, 2), int(5 * sizeof(double)));
+  EXPECT_EQ(static_cast<const double*>(sqlite3_column_blob(row, 2))[4], 0.3);
+  EXPECT_EQ(sqlite3_column_int(row, 3), 1);
+  sqlite3_finalize(row);
+  sqlite3_close(connection);
+}
+
 TEST_F(Estimate, FainterFeaturesAreTakenWherePhotosHaveFew) {
   AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
   Manifest manifest = Run();
@@ -206,13 +324,6 @@ class EstimateOfPieces : public Estimate {
     std::iota(all.begin(), all.end(), 0);
     AddModel(0, all, "joined");
     options_.exhaustive = false;
-  }
-  static bool Decided(const Manifest& manifest, const std::string& feature) {
-    for (const Decision& decision : manifest.decisions) {
-      if (decision.feature == feature) return decision.needed;
-    }
-    ADD_FAILURE() << feature << " was not decided";
-    return false;
   }
   size_t NumMapperCalls() {
     size_t n = 0;
@@ -253,6 +364,183 @@ TEST_F(EstimateOfPieces, ThatDoNotMatchAreNotMappedAgain) {
   EXPECT_EQ(manifest.facts.at("n_registered"), 13);
   EXPECT_EQ(manifest.facts.at("n_models"), 2);
   EXPECT_EQ(NumMapperCalls(), manifest.facts.at("attempts").size());
+}
+
+// Six photos, and then two more; the fake mapper gives fake_/grown for what it is to grow.
+class EstimateExtended : public Estimate {
+ protected:
+  void SetUp() override {
+    Estimate::SetUp();
+    const Capture all = capture_;
+    capture_.images.resize(6);
+    SaveCapture(capture_, ingest_);
+    MakeDatabase(100);
+    AddModel(0, {0, 1, 2, 3, 4, 5});
+    earlier_ = Run();
+    fs::rename(sfm_, base_);
+    fs::remove(fake_ / "calls");
+    capture_ = all;
+    SaveCapture(capture_, ingest_);
+    MakeDatabase(100);
+    options_.base = base_;
+  }
+
+  // The earlier cameras and points as they were, moved by a similarity, and the two added ones.
+  ColmapModel Grown(const Eigen::Matrix4d& moved, int n_photos = 8) const {
+    std::vector<std::string> names;
+    for (int i = 0; i < n_photos; ++i) names.push_back(WorkingPhotoName(capture_.images[size_t(i)]));
+    ColmapModel grown = MakeModel(names, 32, 24, -0.05);
+    const ColmapModel before = ReadColmapModel(base_ / kMappingDir / "model");
+    for (const auto& [id, image] : before.images) grown.images.at(id) = image;
+    return Transformed(grown, moved);
+  }
+  void GrowTo(const ColmapModel& grown) {
+    fs::remove_all(fake_ / "grown");
+    fs::create_directories(fake_ / "grown");
+    WriteColmapBinary(grown, fake_ / "grown");
+  }
+  static Eigen::Matrix4d Moved() {
+    Eigen::Matrix4d moved = Eigen::Matrix4d::Identity();
+    moved.topLeftCorner<3, 3>() = 3 * Eigen::AngleAxisd(0.7, Eigen::Vector3d(1, 2, 3).normalized()).toRotationMatrix();
+    moved.topRightCorner<3, 1>() << 5, -2, 1;
+    return moved;
+  }
+
+  const fs::path base_ = dir_.path() / "base";
+  Manifest earlier_;
+  EstimateOptions options_;
+};
+
+TEST_F(EstimateExtended, TheModelGrowsAndStaysInItsWorld) {
+  GrowTo(Grown(Moved()));
+  const Manifest manifest = Run(options_);
+  const Json extension = ReadJson(sfm_ / kExtensionFile);
+  EXPECT_EQ(extension.at("frame_kept"), true);
+  EXPECT_EQ(extension.at("n_added_placed"), 2);
+  EXPECT_EQ(extension.at("mapped_anew"), false);
+  EXPECT_LT(extension.at("largest_shift_px"), 1e-4);
+  const ColmapModel before = ReadColmapModel(base_ / "sparse"), after = ReadColmapModel(sfm_ / "sparse");
+  ASSERT_EQ(after.images.size(), 8u);
+  for (const auto& [id, image] : before.images) {
+    EXPECT_LT((after.images.at(id).Center() - image.Center()).norm(), 1e-5);
+    EXPECT_LT(after.images.at(id).rotation.angularDistance(image.rotation), 1e-5);
+  }
+  for (const auto& [id, point] : before.points) EXPECT_LT((after.points.at(id).position - point.position).norm(), 1e-5);
+  EXPECT_EQ(manifest.facts.at("n_registered"), 8);
+  EXPECT_EQ(manifest.decisions.back().feature, "poses_anew");
+  EXPECT_FALSE(manifest.decisions.back().needed);
+  // The one mapping there was: of the model kept, and pairs with an added photo alone.
+  EXPECT_THAT(Calls(), HasSubstr("--input_path " + (base_ / kMappingDir / "model").string()));
+  EXPECT_EQ(manifest.facts.at("attempts").at(0).at("n_pairs"), 8 * 7 / 2 - 6 * 5 / 2);
+  EXPECT_EQ(manifest.facts.at("attempts").size(), 1u);
+}
+
+TEST_F(EstimateExtended, PhotosThatDoNotGrowOnAreMappedFromScratch) {
+  GrowTo(Grown(Eigen::Matrix4d::Identity(), 7));
+  AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
+  const Manifest manifest = Run(options_);
+  EXPECT_EQ(manifest.facts.at("n_registered"), 8);
+  EXPECT_EQ(manifest.facts.at("extension").at("mapped_anew"), true);
+  EXPECT_TRUE(manifest.decisions.back().needed);
+}
+
+TEST_F(EstimateExtended, AGrownModelThatHasMoreThanOneFromScratchStays) {
+  GrowTo(Grown(Eigen::Matrix4d::Identity(), 7));
+  AddModel(0, {0, 1, 2, 3, 4, 5});
+  const Manifest manifest = Run(options_);
+  EXPECT_EQ(manifest.facts.at("n_registered"), 7);
+  EXPECT_EQ(manifest.facts.at("extension").at("mapped_anew"), false);
+}
+
+TEST_F(EstimateExtended, AModelThatBentIsNotInTheEarlierWorld) {
+  ColmapModel bent = Grown(Eigen::Matrix4d::Identity());
+  for (auto& [id, image] : bent.images) {
+    const double angle = 0.1 * double(id % 3);  // 32 px wide: 2 px and more
+    const Eigen::Quaterniond turned(Eigen::AngleAxisd(angle, Eigen::Vector3d::UnitY()));
+    image.rotation = turned * image.rotation;
+    image.translation = turned * image.translation;
+  }
+  GrowTo(bent);
+  fs::remove_all(fake_ / "models");
+  fs::create_directories(fake_ / "models/0");
+  WriteColmapBinary(bent, fake_ / "models/0");
+  const Manifest manifest = Run(options_);
+  EXPECT_EQ(manifest.facts.at("extension").at("frame_kept"), false);
+  EXPECT_EQ(manifest.facts.at("extension").at("mapped_anew"), true);
+}
+
+TEST_F(EstimateExtended, OtherSettingsOfFeaturesAreNoExtension) {
+  options_.max_features = 999;
+  AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
+  const Manifest manifest = Run(options_);
+  EXPECT_FALSE(manifest.facts.contains("extension"));
+  EXPECT_FALSE(fs::exists(sfm_ / kExtensionFile));
+  EXPECT_THAT(Calls(), Not(HasSubstr("--input_path")));
+}
+
+// Photos match where they are of the same group, whose last photo is given.
+std::function<int(int, int)> WithinGroups(std::vector<int> ends, int between = 0) {
+  return [ends, between](int a, int b) {
+    const auto group = [&](int i) { return std::lower_bound(ends.begin(), ends.end(), i) - ends.begin(); };
+    return group(a) == group(b) ? 200 : between;
+  };
+}
+
+TEST_F(Estimate, OfTwoCapturesInAFolderTheLargerGoesOn) {
+  AddModel(0, {5, 6, 7});
+  AddModel(1, {0, 1, 2, 3, 4});
+  MakeDatabase(WithinGroups({4, 7}));
+  const Manifest manifest = Run();
+  EXPECT_EQ(manifest.facts.at("n_registered"), 5);
+  EXPECT_EQ(manifest.facts.at("attempts").size(), 1u);
+  EXPECT_FALSE(Decided(manifest, "second_attempt"));
+  const Json& groups = manifest.facts.at("groups");
+  ASSERT_EQ(groups.size(), 2u);
+  EXPECT_EQ(groups[1], (Json{{"n_images", 3}, {"n_points", 40}, {"photos", "photo 5.png to photo 7.png"}}));
+  EXPECT_THAT(manifest.facts.at("groups_advice").get<std::string>(),
+              AllOf(HasSubstr("No photo of one group matches any of another (of 15 pairs tried)"),
+                    HasSubstr("run each by itself"), HasSubstr("between photo 4.png and photo 5.png")));
+  EXPECT_EQ(ReadFile(sfm_ / "groups" / "2.txt"), "photo 5.png\nphoto 6.png\nphoto 7.png\n");
+  // Chance matches do not make one scene of them; pairs that hold could, with more features.
+  MakeDatabase(WithinGroups({4, 7}, 20));
+  const Manifest chance = Run();
+  EXPECT_EQ(chance.facts.at("attempts").size(), 1u);
+  EXPECT_THAT(chance.facts.at("groups_advice").get<std::string>(), HasSubstr("no pair has the 30 matches"));
+  MakeDatabase(WithinGroups({4, 7}, 40));
+  const Manifest linked = Run();
+  EXPECT_EQ(linked.facts.at("attempts").size(), 2u);
+  EXPECT_TRUE(Decided(linked, "second_attempt"));
+  EXPECT_THAT(linked.facts.at("groups_advice").get<std::string>(), HasSubstr("15 pairs of 15 pairs tried may hold"));
+}
+
+TEST_F(Estimate, GroupsOfWhichNoneHasHalfThePhotosAreAnErrorThatNamesThem) {
+  capture_ = MakeCapture(dir_.path() / "photos", 12, false);
+  SaveCapture(capture_, ingest_);
+  AddModel(0, {0, 1, 2, 3, 4});
+  AddModel(1, {4, 5, 6, 7});  // one of them is in the larger
+  AddModel(2, {9, 10, 11});
+  MakeDatabase(WithinGroups({4, 7, 11}));
+  ExpectError(ExitCode::kInput,
+              AllOf(HasSubstr("only 5 of 12 photos could be placed together: the photos fall into 3 groups"),
+                    HasSubstr("5 photos with 40 points (photo 0.png to photo 4.png)"), HasSubstr("1 photo in none"),
+                    HasSubstr("groups/1.txt"), Not(HasSubstr("overlap too little"))));
+  EXPECT_EQ(ReadFile(dir_.path() / "sfm.partial" / "groups" / "2.txt"), "photo 5.png\nphoto 6.png\nphoto 7.png\n");
+}
+
+TEST_F(Estimate, GroupsInFoldersOfTheirOwnAreToBeRunFromThere) {
+  for (size_t i = 0; i < capture_.images.size(); ++i) {
+    CaptureImage& photo = capture_.images[i];
+    const fs::path file = fs::path(i < 5 ? "a" : "b") / photo.path;
+    fs::create_directories(capture_.root / file.parent_path());
+    fs::rename(capture_.root / photo.path, capture_.root / file);
+    photo.path = file;
+  }
+  SaveCapture(capture_, ingest_);
+  AddModel(0, {0, 1, 2, 3, 4});
+  AddModel(1, {5, 6, 7});
+  MakeDatabase(WithinGroups({4, 7}));
+  EXPECT_THAT(Run().facts.at("groups_advice").get<std::string>(),
+              HasSubstr("nrff run " + (capture_.root / "a").native() + ", nrff run " + (capture_.root / "b").native()));
 }
 
 TEST_F(Estimate, LessThanHalfThePhotosIsAnErrorWithADiagnosis) {

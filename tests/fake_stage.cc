@@ -1,6 +1,6 @@
 // Stands in for every stage in the driver's tests: reads and writes artifacts as they do, in no time. Which stage it is
 // it takes from the last part of --out. The environment says how it behaves:
-//   FAKE_LOG           a file that gets a line "BRANCH/STAGE" for every run
+//   FAKE_LOG           a file that gets a line "BRANCH/STAGE" for every run, and "BRANCH/STAGE+" where it has a base
 //   FAKE_FAIL          "BRANCH/STAGE": that one ends with exit code 3 and an error
 //   FAKE_HANG          "BRANCH/STAGE": that one waits for a signal, after a line "hanging" in FAKE_LOG
 //   FAKE_PAYLOAD       text that ingest's payload is made from, beside the capture's content
@@ -13,6 +13,7 @@
 #include <map>
 #include <set>
 
+#include "pipeline/extension.h"
 #include "pipeline/files.h"
 #include "pipeline/log.h"
 #include "pipeline/manifest.h"
@@ -33,10 +34,31 @@ void Note(const std::string& line) {
   if (!path.empty()) std::ofstream(path, std::ios::app) << line << std::endl;
 }
 
-const std::set<std::string> kParams = {"preset",       "steps",       "budget",         "seed",        "max-image-size",
-                                       "undistortion", "contraction", "matching",       "set",         "fine-levels",
-                                       "sparse-depth", "bit-depth",   "sfm-image-size", "sfm-features",
-                                       "directional"};
+const std::set<std::string> kParams = {
+    "preset", "steps",       "budget",       "seed",      "max-image-size", "undistortion", "contraction", "matching",
+    "set",    "fine-levels", "sparse-depth", "bit-depth", "sfm-image-size", "sfm-features", "directional"};
+// Files of the capture by name, and their hashes.
+std::map<std::string, std::string> FilesOf(const fs::path& capture) {
+  std::map<std::string, std::string> files;
+  for (const fs::path& file : nrff::ListFiles(capture)) {
+    files[file.lexically_relative(capture).string()] = nrff::HashFile(file);
+  }
+  return files;
+}
+
+// As ingest says it of a base: files may be added, none changed.
+void SetExtension(const fs::path& capture, const fs::path& base, nrff::Json& facts) {
+  const auto earlier = nrff::ReadJson(base / "capture.json").at("files").get<std::map<std::string, std::string>>();
+  const auto now = FilesOf(capture);
+  facts["extension"] = facts["why_anew"] = nullptr;
+  for (const auto& [name, hash] : earlier) {
+    const auto found = now.find(name);
+    if (found == now.end() || found->second != hash) facts["why_anew"] = name + " was changed";
+  }
+  if (!facts["why_anew"].is_null()) return;
+  facts["extension"] = {{"n_earlier", earlier.size()}, {"n_added", now.size() - earlier.size()}};
+}
+
 const std::set<std::string> kInputs = {"ingest", "sfm", "scene", "model", "renders"};
 
 }  // namespace
@@ -77,6 +99,9 @@ int main(int argc, char** argv) {
               << std::endl;
     return 0;
   }
+  if (options.contains("base") && posed == false && fs::exists(fs::path(options["base"]) / "capture.json")) {
+    SetExtension(positional, options["base"], facts);
+  }
   if (options.contains("probe")) {
     std::cout << facts.dump() << std::endl;
     return 0;
@@ -104,13 +129,17 @@ int main(int argc, char** argv) {
     } else if (name == "lpips") {
       params[name] = nrff::LpipsParameter(value);
       payload += params[name];
+    } else if (name == "base") {
+      Note(id + "+");
+      inputs.push_back(nrff::BaseInput(value));
+      payload += inputs.back().hash;
     } else if (kInputs.contains(name)) {
       inputs.push_back(nrff::ArtifactInput(value, *nrff::ReadManifest(value)));
       payload += nrff::ReadFile(fs::path(value) / "payload");
     }
   }
   if (stage == "ingest") {
-    inputs.push_back({nrff::EscapePath(positional), nrff::HashTree(positional), 0});
+    inputs.insert(inputs.begin(), {nrff::EscapePath(positional), nrff::HashTree(positional), 0});
     payload += inputs.front().hash + Environment("FAKE_PAYLOAD");
   }
   if (options.contains("work-precision")) params["work-precision"] = "true";
@@ -122,9 +151,13 @@ int main(int argc, char** argv) {
   artifact.AddOutput("payload");
   if (stage == "ingest") {
     const std::string photo = fs::exists(fs::path(positional) / "images") ? "images/photo.jpg" : "photo.jpg";
-    nrff::WriteJson(artifact.dir() / "capture.json",
-                    {{"root", nrff::EscapePath(positional)}, {"images", {{{"path", photo}}}}});
+    nrff::WriteJson(
+        artifact.dir() / "capture.json",
+        {{"root", nrff::EscapePath(positional)}, {"images", {{{"path", photo}}}}, {"files", FilesOf(positional)}});
   }
+  if (stage == "sfm") fs::create_directories(artifact.dir() / "mapping");
+  if (stage == "pose") nrff::WriteJson(artifact.dir() / "scene.json", nrff::Json::object());
+  if (stage == "train") nrff::WriteFileAtomically(artifact.dir() / "checkpoint.safetensors", "of " + id);
   if (options.contains("path")) {
     fs::create_directories(artifact.dir() / "rgb");
     nrff::WriteFileAtomically(artifact.dir() / "rgb" / "000000.png", "no picture");
@@ -157,10 +190,11 @@ int main(int argc, char** argv) {
   artifact.facts() = facts;
   if (stage == "eval") artifact.facts().update({{"psnr", 21.5}, {"ssim", 0.75}});
   if (stage == "train") {
-    artifact.facts().update({{"steps", options.contains("steps") ? std::stoi(options["steps"]) : 8000},
-                             {"preset", "small"},
-                             {"n_parameters", 1000},
-                             {"settings", {{"field", {{"levels", 4}, {"base_resolution", 16}, {"max_resolution", 64}}}}}});
+    artifact.facts().update(
+        {{"steps", options.contains("steps") ? std::stoi(options["steps"]) : 8000},
+         {"preset", "small"},
+         {"n_parameters", 1000},
+         {"settings", {{"field", {{"levels", 4}, {"base_resolution", 16}, {"max_resolution", 64}}}}}});
   }
   if (stage == "train" && options.contains("budget")) {
     artifact.facts()["seconds_training"] = std::stod(options["budget"]);

@@ -9,6 +9,7 @@
 #include <cmath>
 #include <limits>
 
+#include "model/camera_corrections.h"
 #include "model/cuda/gpu_renderer.h"
 #include "tests/ball_scene.h"
 #include "tests/gpu_under_test.h"
@@ -49,6 +50,53 @@ TEST_F(GpuTraining, LearnsWhatTheCpuLearns) {
   const double on_cpu = train({.seed = 3}), on_gpu = train(options_);
   EXPECT_GT(on_cpu, 20);
   EXPECT_NEAR(on_gpu, on_cpu, 0.5);
+}
+
+TEST_F(GpuTraining, SeesThroughCamerasThatWereMoved) {
+  CameraCorrections moved = CameraCorrections::None(scene_.views);
+  for (PoseCorrection& pose : moved.poses) pose.turn = {0.05, -0.03, 0.02};
+  Scene elsewhere = scene_;
+  for (View& view : elsewhere.views) view = moved.Corrected(view);
+  const Preset preset = BallPreset(60);
+  Trainer corrected(scene_, pack_, {}, preset, options_), given(elsewhere, pack_, {}, preset, options_),
+      unmoved(scene_, pack_, {}, preset, options_);
+  corrected.state().cameras = moved;
+  corrected.StateChanged();
+  for (Trainer* trainer : {&corrected, &given, &unmoved}) {
+    trainer->Step();
+    trainer->Sync();
+  }
+  EXPECT_EQ(corrected.TrainPsnr(), given.TrainPsnr());
+  EXPECT_NE(corrected.TrainPsnr(), unmoved.TrainPsnr());
+}
+
+TEST_F(GpuTraining, CorrectsCamerasAsTheCpuDoes) {
+  Preset preset = BallPreset(120);
+  preset.train.camera_moments = {0.5};
+  preset.train.camera_least_px = 0;
+  CameraCorrections errors = CameraCorrections::None(scene_.views);
+  for (size_t i = 0; i < errors.poses.size(); ++i) errors.poses[i].turn = {i % 2 == 0 ? 0.02 : -0.02, 0, 0};
+  Scene wrong = scene_;
+  for (View& view : wrong.views) view = errors.Corrected(view);
+  Trainer on_cpu(wrong, pack_, {}, preset, {.seed = 3}), on_gpu(wrong, pack_, {}, preset, options_);
+  while (on_cpu.Progress() < 0.5) on_cpu.Step();
+  const TemporaryDirectory out;
+  SaveCheckpoint(out.path(), on_cpu.state(), "settings");
+  LoadCheckpoint(out.path(), "settings", on_gpu.state());
+  on_gpu.StateChanged();
+  on_cpu.Step();
+  on_gpu.Step();
+  const auto &of_cpu = on_cpu.state().cameras.poses, &of_gpu = on_gpu.state().cameras.poses;
+  ASSERT_EQ(of_cpu.size(), 6u);
+  ASSERT_EQ(of_gpu.size(), 6u);
+  double largest = 0;
+  for (size_t i = 0; i < of_cpu.size(); ++i) {
+    for (size_t k = 0; k < 3; ++k) {
+      EXPECT_NEAR(of_gpu[i].turn[k], of_cpu[i].turn[k], 1e-3);  // but for rounding to bf16
+      largest = std::max(largest, std::abs(of_cpu[i].turn[k]));
+    }
+  }
+  EXPECT_GT(largest, 5e-3);
 }
 
 TEST_F(GpuTraining, GoesOnFromItsCheckpoint) {

@@ -66,6 +66,92 @@ TEST_F(IngestTest, EveryEighthByNameIsHeldOutWhetherPosesAreGivenOrNot) {
   EXPECT_EQ(Splits(posed), without_poses);
 }
 
+class ExtendedIngest : public IngestTest {
+ protected:
+  // What ingest made of the capture so far becomes the base.
+  void KeepBase() {
+    options_.base = work_.path() / ("base " + std::to_string(++n_bases_));
+    fs::rename(work_.path() / "ingest", options_.base);
+  }
+  static std::vector<std::string> Names(const Capture& capture) {
+    std::vector<std::string> names;
+    for (const CaptureImage& image : capture.images) names.push_back(image.id + " " + image.Name());
+    return names;
+  }
+  IngestOptions options_;
+  int n_bases_ = 0;
+};
+
+TEST_F(ExtendedIngest, EarlierPhotosKeepTheirIdsAndSidesAndAddedOnesCountOn) {
+  WritePhotos(15, "m_");
+  const Capture before = RunIngest();
+  KeepBase();
+  for (int i = 0; i < 4; ++i) {
+    PhotoOptions photo;
+    photo.seed = uint32_t(100 + i);
+    WritePhoto(root_ / ((i < 3 ? "a_" : "z_") + std::to_string(i) + ".png"), photo);  // before and behind the others
+  }
+  EXPECT_EQ(ProbeCapture(root_, options_.base)["extension"], Json({{"n_earlier", 15}, {"n_added", 4}}));
+  const Capture after = RunIngest(options_);
+  ASSERT_EQ(after.images.size(), 19u);
+  std::vector<std::string> expected = Names(before);
+  expected.insert(expected.end(), {"000015 a_0.png", "000016 a_1.png", "000017 a_2.png", "000018 z_3.png"});
+  EXPECT_EQ(Names(after), expected);
+  std::map<std::string, Split> sides = Splits(before);
+  for (const char* name : {"a_0.png", "a_2.png", "z_3.png"}) sides[name] = Split::kTrain;
+  sides["a_1.png"] = Split::kTest;  // the 17th
+  EXPECT_EQ(Splits(after), sides);
+  EXPECT_EQ(after.split_rule, "every 8th by file name; added photos count on");
+  EXPECT_EQ(manifest_.facts["extension"], Json({{"n_earlier", 15}, {"n_added", 4}}));
+  EXPECT_TRUE(manifest_.facts["why_anew"].is_null());
+  // And once more: single photos added do not all become held out.
+  KeepBase();
+  PhotoOptions photo;
+  photo.seed = 200;
+  WritePhoto(root_ / "b.png", photo);
+  const Capture again = RunIngest(options_);
+  EXPECT_EQ(again.images.back().id + again.images.back().Name(), "000019b.png");
+  EXPECT_EQ(again.images.back().split, Split::kTrain);
+  EXPECT_EQ(again.split_rule, after.split_rule);
+}
+
+TEST_F(ExtendedIngest, IsNoneWhereAPhotoIsGoneOrChanged) {
+  WritePhotos(9);
+  RunIngest();
+  KeepBase();
+  WritePhoto(root_ / "added.png", {.seed = 100});
+  WritePhoto(root_ / "photo_03.png", {.seed = 101});
+  for (const char* reason : {"photo_03.png was changed", "photo_03.png is no longer among"}) {
+    EXPECT_THAT(ProbeCapture(root_, options_.base)["why_anew"].get<std::string>(), HasSubstr(reason));
+    const Capture anew = RunIngest(options_);
+    EXPECT_THAT(manifest_.facts["why_anew"].get<std::string>(), HasSubstr(reason));
+    EXPECT_TRUE(manifest_.facts["extension"].is_null());
+    EXPECT_EQ(anew.images[0].Name(), "added.png");
+    EXPECT_EQ(anew.split_rule, "every 8th by file name");
+    fs::remove(root_ / "photo_03.png");
+  }
+}
+
+TEST_F(ExtendedIngest, ACopyOfAnEarlierPhotoIsTheOneThatIsRejected) {
+  WritePhotos(9);
+  RunIngest();
+  KeepBase();
+  fs::copy_file(root_ / "photo_03.png", root_ / "a copy.png");
+  const Capture after = RunIngest(options_);
+  EXPECT_EQ(after.images.size(), 9u);
+  ASSERT_EQ(after.rejected.size(), 1u);
+  EXPECT_EQ(after.rejected[0].name, "a copy.png");
+}
+
+TEST_F(ExtendedIngest, PhotosThatWereOfNoUseBeforeAreNoneAdded) {
+  WritePhotos(9);
+  Write("damaged.jpg", "just text");
+  RunIngest();
+  KeepBase();
+  Write("notes.txt", "x");
+  EXPECT_EQ(ProbeCapture(root_, options_.base)["why_anew"], "no photo was added");
+}
+
 TEST_F(IngestTest, OriginalsAreUntouchedAndReadOnlyInputWorks) {
   WritePhotos(4);
   const std::string before = HashTree(root_);

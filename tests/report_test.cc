@@ -103,7 +103,11 @@ class ReportTest : public testing::Test {
           {"n_registered", n_registered},
           {"n_images", 10},
           {"unregistered", {"c.jpg"}},
-          {"models", {{{"n_images", n_registered}, {"n_points", 99}}, {{"n_images", 3}, {"n_points", 7}}}}},
+          {"groups",
+           {{{"n_images", n_registered}, {"n_points", 99}, {"photos", "a.jpg to e.jpg"}},
+            {{"n_images", 3}, {"n_points", 7}, {"photos", "g.jpg to i.jpg"}}}},
+          {"field_of_view_deg", 160.4},
+          {"groups_advice", "No photo of one group matches any of another"}},
          {{"colmap.log", "log"}}, {needs::Sfm(false, "photos")});
   }
 
@@ -117,6 +121,7 @@ class ReportTest : public testing::Test {
     view.width = 2, view.height = 1;
     view.fx = view.fy = 2, view.cx = 1, view.cy = 0.5;
     view.scene_from_camera = scene.scene_from_world;
+    view.scene_from_camera[3] = 2;
     scene.views = {view};
     fs::create_directories(folder_ / "scene");
     SaveScene(scene, folder_ / "scene");
@@ -254,6 +259,53 @@ TEST_F(ReportTest, IsAnArtifactMadeFromAllOthers) {
   EXPECT_EQ(manifest.outputs.size(), 2);
 }
 
+// What sfm says of its model: of the one camera that the scene has, and of one that it has not.
+Json Refinement() {
+  const auto image = [](const char* id, double position, double rotation) {
+    return Json{{"name", id}, {"position_deviation", position}, {"rotation_deviation_deg", rotation}};
+  };
+  const Json errors = {{"median", 0.5}, {"mean", 0.7}};
+  return {{"schema_version", 1},
+          {"reason", nullptr},
+          {"degeneracy", "the images do not fix the focal length of camera 1"},
+          {"structure", {"planar: the points lie on a plane"}},
+          {"n_points", 30},
+          {"n_observations", 100},
+          {"left_out",
+           {{"images", {"000000"}}, {"n_points", 4}, {"n_observations_behind", 5}, {"n_observations_beyond_lens", 6}}},
+          {"components", {{{"images", {"a"}}}, {{"images", {"b", "c"}}}}},
+          {"track_lengths", {{"10", 7}, {"2", 20}, {"3", 3}}},
+          {"reprojection_error_px", {{"before", errors}, {"after", errors}}},
+          {"iterations", 9},
+          {"converged", true},
+          {"remaining_deviations", 1e-4},
+          {"images", {image("000000", 0.5, 0.25), image("000007", 1, 1)}}};
+}
+
+TEST_F(ReportTest, PageSaysHowWellTheCamerasAreKnown) {
+  MakeAll();
+  WriteReport(root_);
+  EXPECT_TRUE(PageData(root_ / "report" / "report.html")["certificate"].is_null());
+  WriteJson(root_ / "sfm" / "refinement.json", Refinement());
+  WriteReport(root_);
+  const Json certificate = PageData(root_ / "report" / "report.html")["certificate"];
+  // Half a unit of the world, which the scene leaves as it is, at a distance of two.
+  EXPECT_EQ(certificate["cameras"],
+            Json({{{"name", kAwkwardName}, {"split", "test"}, {"position", 0.25}, {"rotation_deg", 0.25}}}));
+  EXPECT_EQ(certificate["track_lengths"][2], Json({{"length", 10}, {"n", 7}}));  // by number, not by name
+  EXPECT_EQ(certificate["components"], Json({2, 1}));
+  EXPECT_EQ(certificate["n_left_out"], Json({{"points", 4}, {"behind", 5}, {"beyond_lens", 6}}));
+  ASSERT_EQ(certificate["left_out"].size(), 3);
+  EXPECT_EQ(certificate["left_out"][0]["reason"], "is text");
+  EXPECT_EQ(certificate["left_out"][1]["name"], "c.jpg");
+  EXPECT_EQ(certificate["left_out"][2]["name"], kAwkwardName);
+
+  Json damaged = Refinement();
+  damaged["components"] = "none";
+  WriteJson(root_ / "sfm" / "refinement.json", damaged);
+  EXPECT_THAT(WarningKinds(WriteAndReadSummary()), testing::Contains("damaged files"));
+}
+
 TEST_F(ReportTest, PageHoldsPicturesCamerasAndPoints) {
   MakeAll();
   WriteReport(root_);
@@ -290,7 +342,12 @@ TEST_F(ReportTest, WarnsOfEverythingThatLimitsTheFigures) {
   const Json summary = WriteAndReadSummary();
   EXPECT_EQ(WarningKinds(summary),
             (std::set<std::string>{"low registration", "held-out photos without a pose", "unregistered photos",
-                                   "several models", "rejected photos", "duplicates"}));
+                                   "several groups", "wide lens", "rejected photos", "duplicates"}));
+  for (const Json& warning : summary["warnings"]) {
+    if (warning["kind"] != "several groups") continue;
+    EXPECT_THAT(warning["text"].get<std::string>(), HasSubstr("No photo of one group matches any of another"));
+    EXPECT_EQ(warning["items"][1], "3 photos, 7 points: g.jpg to i.jpg");
+  }
 }
 
 TEST_F(ReportTest, StageThatFailedIsNamedWithItsError) {

@@ -7,7 +7,10 @@
 #include <Eigen/LU>
 #include <optional>
 
+#include "pipeline/extension.h"
 #include "pipeline/scene.h"
+#include "sfm/earlier_frame.h"
+#include "sfm/merged_model.h"
 #include "sfm/sparse_depth.h"
 #include "sfm/transforms_json.h"
 #include "tests/pose_fixture.h"
@@ -59,6 +62,79 @@ class ScenePack : public ::testing::Test {
 
 Eigen::Vector3d Apply(const Mat4& m, const Eigen::Vector3d& p) {
   return Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(m.data()).topRows<3>() * p.homogeneous();
+}
+
+class ExtendedScene : public ScenePack {
+ protected:
+  // A scene of six photos becomes the base of one of eight on the same ring, in a world moved by `world`.
+  Scene MakeExtended(bool in_its_world, const Eigen::Matrix4d& world = Eigen::Matrix4d::Identity()) {
+    Make(6, 0);
+    Write();
+    options_.base = dir_.path() / "base";
+    fs::rename(pose_, options_.base);
+    earlier_ = LoadScene(options_.base);
+    fs::remove(options_.base / kPackFile);  // is not kept
+    Make(8, 0);
+    model_ = Transformed(model_, world);
+    WriteColmapBinary(model_, ingest_ / "sparse");
+    WriteJson(ingest_ / kExtensionFile, {{"schema_version", kExtensionSchemaVersion}, {"frame_kept", in_its_world}});
+    manifest_ = Write(options_);
+    return LoadScene(pose_);
+  }
+  const Decision* FrameDecision() const {
+    for (const Decision& decision : manifest_.decisions) {
+      if (decision.feature == "frame_anew") return &decision;
+    }
+    return nullptr;
+  }
+  PoseOptions options_;
+  Scene earlier_;
+  Manifest manifest_;
+};
+
+TEST_F(ExtendedScene, KeepsTheFrameThatSuitsIt) {
+  const Scene scene = MakeExtended(true);
+  ASSERT_NE(FrameDecision(), nullptr);
+  EXPECT_FALSE(FrameDecision()->needed) << FrameDecision()->evidence;
+  EXPECT_EQ(scene.scene_from_world, earlier_.scene_from_world);
+  EXPECT_EQ(scene.aabb_min, earlier_.aabb_min);
+  EXPECT_EQ(scene.aabb_max, earlier_.aabb_max);
+  EXPECT_LE(scene.near, earlier_.near);
+  EXPECT_GE(scene.far, earlier_.far);
+}
+
+TEST_F(ExtendedScene, HasAFrameOfItsOwnInAnotherWorld) {
+  const Scene scene = MakeExtended(false);
+  EXPECT_EQ(FrameDecision(), nullptr);
+  EXPECT_NE(scene.scene_from_world, earlier_.scene_from_world);
+}
+
+TEST_F(ExtendedScene, HasAFrameOfItsOwnWhereTheEarlierDoesNotSuit) {
+  Eigen::Matrix4d elsewhere = Eigen::Matrix4d::Identity();
+  elsewhere(0, 3) = 10;
+  const Scene scene = MakeExtended(true, elsewhere);
+  ASSERT_NE(FrameDecision(), nullptr);
+  EXPECT_TRUE(FrameDecision()->needed);
+  EXPECT_NE(scene.scene_from_world, earlier_.scene_from_world);
+}
+
+TEST(EarlierFrame, GainsReferToTheEarlierExposure) {
+  EarlierFrame earlier;
+  earlier.training_gains = {{"a", {1, 1, 2}}, {"b", {1, 1, 0.5}}};
+  Scene scene;
+  for (const char* id : {"a", "b", "c", "held out"}) {
+    View& view = scene.views.emplace_back();
+    view.id = id;
+    view.split = view.id == "held out" ? Split::kTest : Split::kTrain;
+  }
+  // The third is four times as bright: the mean of all is not that of the first two.
+  scene.views[0].colour_gain = {0.5, 0.5, 1};
+  scene.views[1].colour_gain = {0.5, 0.5, 0.25};
+  scene.views[2].colour_gain = {2, 2, 2};
+  KeepExposure(earlier, scene);
+  const double expected[] = {1, 1, 4, 1};
+  for (size_t i = 0; i < 4; ++i) EXPECT_NEAR(scene.views[i].colour_gain[0], expected[i], 1e-12) << i;
+  EXPECT_NEAR(scene.views[0].colour_gain[2], 2, 1e-12);
 }
 
 TEST_F(ScenePack, PointsProjectToWhereTheLensHadThem) {

@@ -3,11 +3,14 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <fstream>
 
+#include "model/safetensors.h"
 #include "model/training.h"
 #include "pipeline/error.h"
+#include "pipeline/extension.h"
 #include "tests/ball_scene.h"
 
 namespace nrff {
@@ -39,9 +42,10 @@ TEST_F(TrainStage, SettingsAndForcedDecisionsAreInTheModelAndTheManifest) {
   request.fine_levels = false;
   request.sparse_depth = true;
   request.exposure_correction = true;
+  request.camera_correction = true;
   RunTraining(request, {});
   const Manifest manifest = RequireArtifact(request.out, "train");
-  const Json& settings = manifest.facts.at("settings");
+  const Json &facts = manifest.facts, &settings = facts.at("settings");
   EXPECT_EQ(settings.at("train").at("depth_rays"), 16);
   EXPECT_GT(settings.at("train").at("depth_weight"), 0);
   EXPECT_EQ(settings.at("field").at("max_resolution"), 32) << "an octave below tiny's 64";
@@ -51,6 +55,12 @@ TEST_F(TrainStage, SettingsAndForcedDecisionsAreInTheModelAndTheManifest) {
     if (decision.feature == "cuda") continue;
     EXPECT_EQ(decision.reason, "forced by an option") << decision.feature;
   }
+  const auto model = LoadModel(request.out);
+  EXPECT_EQ(model->cameras.poses.size(), 6u);
+  const Json cameras = ReadJson(request.out / "cameras.json").at("views");
+  EXPECT_EQ(cameras.size(), 8u);
+  EXPECT_EQ(cameras[0].at("fx"), model->cameras.Corrected(LoadScene(request.scene_dir).views[0]).fx);
+  EXPECT_GE(facts.at("camera_displacement_px").at("largest"), facts.at("camera_displacement_px").at("median"));
 }
 
 // On this scene 1e4 is just too much and a quarter of it is not.
@@ -99,6 +109,109 @@ TEST_F(TrainStage, AShortTrainingThatExplodesIsNoModelEither) {
   request.steps = 8;
   EXPECT_THROW(RunTraining(request, {}), Error);
   EXPECT_TRUE(std::filesystem::exists(request.out.string() + ".partial/diverged.json"));
+}
+
+// A training on four of the six views becomes the base of one on all.
+class ExtendedTraining : public TrainStage {
+ protected:
+  ExtendedTraining() {
+    request.exposure_correction = true;
+    request.settings = "train.correction_rate=0.05";
+    Scene fewer = scene_;
+    std::erase_if(fewer.views, [&](const View& view) { return IsAdded(view); });
+    WritePose(fewer);
+    RunTraining(request, {});
+    std::filesystem::rename(request.out, base_);
+    WritePose(scene_);
+    request.base = base_;
+  }
+  bool IsAdded(const View& view) const {
+    const std::vector<int> training = scene_.ViewsOf(Split::kTrain);
+    return view.id == scene_.views[size_t(training[1])].id || view.id == scene_.views[size_t(training[4])].id;
+  }
+  void WritePose(const Scene& scene) {
+    ArtifactWriter artifact("pose", request.scene_dir, {}, {});
+    std::filesystem::copy_file(directory_.path() / kPackFile, artifact.dir() / kPackFile);
+    SaveScene(scene, artifact.dir());
+    SaveSparseDepths({}, artifact.dir());
+    for (const char* output : {kSceneFile, kPackFile, kDepthFile}) artifact.AddOutput(output);
+    artifact.Commit();
+  }
+  std::vector<float> Values(const std::filesystem::path& dir, const std::string& parameter) const {
+    return SafetensorsFile(dir / kModelFile).Values<float>("parameter/" + parameter);
+  }
+  Decision TrainingDecision() const {
+    for (const Decision& decision : RequireArtifact(request.out, "train").decisions) {
+      if (decision.feature == "training_anew") return decision;
+    }
+    ADD_FAILURE() << "nothing was decided";
+    return {};
+  }
+
+  const std::filesystem::path base_ = directory_.path() / "base";
+};
+
+TEST_F(ExtendedTraining, GoesOnFromTheMeanOfTheBaseForAShareOfTheSteps) {
+  request.settings = "train.network_rate=1e-12 train.grid_rate=1e-12 train.correction_rate=1e-12";  // stays there
+  RunTraining(request, {});
+  const Json facts = RequireArtifact(request.out, "train").facts;
+  EXPECT_EQ(facts.at("extended").at("n_views_added"), 2);
+  EXPECT_EQ(facts.at("extended").at("steps_before"), 12);
+  EXPECT_EQ(facts.at("steps"), 4);
+  EXPECT_FALSE(TrainingDecision().needed);
+  EXPECT_FALSE(facts.at("settings").contains("views"));
+  for (const char* parameter : {"appearance_grid", "density_grid", "spatial_mlp.0.weight"}) {
+    const std::vector<float> before = Values(base_, parameter), after = Values(request.out, parameter);
+    ASSERT_EQ(before.size(), after.size());
+    for (size_t i = 0; i < before.size(); ++i) ASSERT_NEAR(before[i], after[i], 1e-6) << parameter;
+  }
+  // Corrections go to the views that had them; added ones start at their gain.
+  const std::vector<float> before = Values(base_, "colour_corrections"),
+                           after = Values(request.out, "colour_corrections");
+  ASSERT_EQ(before.size(), 4 * 12u);
+  ASSERT_EQ(after.size(), 6 * 12u);
+  size_t row = 0;
+  for (size_t i = 0; i < 6; ++i) {
+    const View& view = scene_.views[size_t(scene_.ViewsOf(Split::kTrain)[i])];
+    for (size_t k = 0; k < 12; ++k) ASSERT_NEAR(after[12 * i + k], IsAdded(view) ? 0 : before[12 * row + k], 1e-6) << i;
+    row += IsAdded(view) ? 0 : 1;
+  }
+  EXPECT_GT(*std::max_element(before.begin(), before.end()), 1e-3) << "the base learnt none";
+  EXPECT_EQ(RequireArtifact(request.out, "train").inputs.back().hash, HashTree(base_));
+}
+
+TEST_F(ExtendedTraining, StartsAnewInAnotherFrame) {
+  Scene moved = scene_;
+  moved.scene_from_world[3] += 1;
+  WritePose(moved);
+  RunTraining(request, {});
+  EXPECT_TRUE(TrainingDecision().needed);
+  EXPECT_THAT(TrainingDecision().reason, HasSubstr("another frame"));
+  EXPECT_EQ(RequireArtifact(request.out, "train").facts.at("steps"), 12);
+  EXPECT_TRUE(RequireArtifact(request.out, "train").facts.at("extended").is_null());
+}
+
+TEST_F(ExtendedTraining, StartsAnewWithAnotherField) {
+  request.settings = "field.levels=3";
+  RunTraining(request, {});
+  EXPECT_THAT(TrainingDecision().reason, HasSubstr("field.levels is 3, it was "));
+  EXPECT_EQ(RequireArtifact(request.out, "train").facts.at("steps"), 12);
+}
+
+TEST_F(ExtendedTraining, ThatIsStoppedGoesOnAndDoesNotStartFromTheBaseAgain) {
+  RunTraining(request, {});
+  const std::string checkpoint = ReadFile(request.out / kCheckpointFile);
+  {
+    const ArtifactWriter interrupted(
+        "train", request.out, {},
+        {ArtifactInput(request.scene_dir, RequireArtifact(request.scene_dir, "pose")), BaseInput(base_)},
+        ArtifactWriter::kKeepPartial);
+    interrupted.SaveSeconds();
+    WriteFileAtomically(interrupted.dir() / kCheckpointFile, checkpoint);
+  }
+  RunTraining(request, {});
+  EXPECT_EQ(RequireArtifact(request.out, "train").facts.at("resumed"), 1);
+  EXPECT_EQ(RequireArtifact(request.out, "train").facts.at("steps"), 4);
 }
 
 TEST_F(TrainStage, TheDirectionalEncodingIsGivenOnce) {

@@ -46,11 +46,14 @@ TEST_F(TrainTest, StoppedAndResumedGivesTheSameBitsAsNeverStopped) {
   preset.train.depth_weight = 0.1;
   preset.train.average_from = 0.6;
   preset.train.average_interval = 5;
+  preset.train.camera_moments = {0.3, 0.5};
+  preset.train.camera_least_px = 0;
   const std::vector<SparseDepth> depths = BallDepths(scene_);
   Trainer whole(scene_, pack_, depths, preset, {.seed = 3});
   while (!whole.Done()) whole.Step();
   EXPECT_GT(whole.state().shrink_moments_done, 0);
   EXPECT_GT(whole.state().n_averaged, 2);
+  EXPECT_EQ(whole.state().camera_moments_done, 2);
   whole.state().SwapAverage();
   for (const int64_t stop : {1, 15, 16, 37, 44}) {
     const TemporaryDirectory out;
@@ -61,6 +64,7 @@ TEST_F(TrainTest, StoppedAndResumedGivesTheSameBitsAsNeverStopped) {
     }
     Trainer second(scene_, pack_, depths, preset, {.seed = 3});
     LoadCheckpoint(out.path(), "settings", second.state());
+    second.StateChanged();
     EXPECT_EQ(second.state().step, stop);
     while (!second.Done()) second.Step();
     second.state().SwapAverage();

@@ -331,6 +331,31 @@ TEST(CropVolume, SaysHowFarOffTheObjectIsSeen) {
 }
 
 // A .log's numbers are no photos' names, however alike they look.
+TEST(TrajectoryFiles, ATrainArtifactsCorrectedCamerasAreRead) {
+  const TemporaryDirectory dir;
+  const auto view = [](const char* name, const char* split, double x) {
+    return Json{{"id", "000001"},
+                {"name", name},
+                {"split", split},
+                {"scene_from_camera", {0, -1, 0, x, 1, 0, 0, 2, 0, 0, 1, 3, 0, 0, 0, 1}}};
+  };
+  Json cameras = {{"schema_version", 1}, {"views", {view("a.jpg", "train", 1), view("b.jpg", "test", 5)}}};
+  WriteJson(dir.path() / "cameras.json", cameras);
+  const Trajectory read = ReadTrajectory(dir.path());
+  ASSERT_EQ(read.size(), 1u);  // held-out views' are not corrected
+  EXPECT_EQ(read[0].name, "a");
+  EXPECT_EQ(read[0].center, Eigen::Vector3d(1, 2, 3));
+  EXPECT_NEAR(read[0].rotation.toRotationMatrix()(1, 0), 1, 1e-12);
+  cameras["views"][0]["scene_from_camera"][0] = 0.5;
+  WriteJson(dir.path() / "cameras.json", cameras);
+  try {
+    ReadTrajectory(dir.path());
+    FAIL() << "was read";
+  } catch (const Error& error) {
+    EXPECT_THAT(error.what(), HasSubstr("cameras.json: the pose of view 000001 holds no rotation"));
+  }
+}
+
 TEST(TrajectoryFiles, NumbersOfALogAreNotTakenForPhotosNames) {
   const TemporaryDirectory directory;
   const Trajectory truth = Random(5, 13);

@@ -19,7 +19,7 @@ set_source_files_properties(pipeline/manifest.cc PROPERTIES COMPILE_DEFINITIONS 
 
 # nrff_artifact and nrff_driver share the folder pipeline/; a stage links the first only.
 set(ARTIFACT_SOURCES
-  pipeline/files.cc pipeline/json.cc pipeline/log.cc pipeline/manifest.cc pipeline/needs.cc
+  pipeline/extension.cc pipeline/files.cc pipeline/json.cc pipeline/log.cc pipeline/manifest.cc pipeline/needs.cc
   pipeline/photo_name.cc pipeline/process.cc pipeline/progress.cc pipeline/scene.cc pipeline/stage.cc)
 file(GLOB DRIVER_SOURCES CONFIGURE_DEPENDS pipeline/*.cc)
 list(REMOVE_ITEM DRIVER_SOURCES pipeline/nrff_main.cc)

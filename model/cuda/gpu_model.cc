@@ -46,14 +46,9 @@ GpuModel MakeGpuModel(const NrffField& field) {
   return model;
 }
 
-GpuScene MakeGpuScene(const PixelSource& pixels, const DepthSource& depths) {
-  GpuScene scene;
-  scene.pixels_before = pixels.pixels_before();
-  scene.rows_before = pixels.rows_before();
+std::vector<device::GpuView> MakeGpuViews(const PixelSource& pixels) {
+  std::vector<device::GpuView> views;
   int64_t first_row = 0;
-  const ImagePack& pack = pixels.pack();
-  scene.pack = pack.data();
-  scene.pack_bytes = pack.size_bytes();
   for (const View& view : pixels.views()) {
     device::GpuView gpu;
     gpu.camera = {view.fx, view.fy, view.cx, view.cy, {}};
@@ -66,8 +61,19 @@ GpuScene MakeGpuScene(const PixelSource& pixels, const DepthSource& depths) {
       first_row += view.height + 1;
     }
     std::copy_n(view.scene_from_camera.begin(), 12, gpu.camera.scene_from_camera);
-    scene.views.push_back(gpu);
+    views.push_back(gpu);
   }
+  return views;
+}
+
+GpuScene MakeGpuScene(const PixelSource& pixels, const DepthSource& depths) {
+  GpuScene scene;
+  scene.views = MakeGpuViews(pixels);
+  scene.pixels_before = pixels.pixels_before();
+  scene.rows_before = pixels.rows_before();
+  const ImagePack& pack = pixels.pack();
+  scene.pack = pack.data();
+  scene.pack_bytes = pack.size_bytes();
   scene.depths = depths.targets();
   return scene;
 }

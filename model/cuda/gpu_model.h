@@ -28,6 +28,7 @@ auto OnGpu(const Work& work) {
 }
 
 // Points into the sources' memory.
+std::vector<device::GpuView> MakeGpuViews(const PixelSource& pixels);
 GpuScene MakeGpuScene(const PixelSource& pixels, const DepthSource& depths);
 
 // The field's parameters, in their order, without gradients.

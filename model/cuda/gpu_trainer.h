@@ -98,6 +98,8 @@ class GpuTrainer {
   virtual void GetAverage(float* average) = 0;
 
   virtual void SetOccupancy(const OccupancyBits& bits) = 0;
+  // As many as the scene has: the same pictures, seen from elsewhere. Waits.
+  virtual void SetViews(const std::vector<device::GpuView>& views) = 0;
 
   // Queues a step, with as many of the control's rays as there is memory for. Returns what the step kLag before it
   // found; that of a step whose samples found no room, and which changed nothing, has no had_room, and more room is

@@ -89,6 +89,11 @@ class GpuTrainerProgram : public GpuTrainer {
     stream_.Synchronize();
   }
 
+  void SetViews(const std::vector<GpuView>& views) override {
+    program_.SetViews(views);
+    stream_.Synchronize();
+  }
+
   std::optional<StepResult> Step(const StepControl& control) override {
     std::optional<StepResult> result;
     if (n_queued_ - n_read_ == kLag) result = Read();

@@ -64,6 +64,8 @@ void GpuTraining::Download(TrainState& state) const {
 
 void GpuTraining::SetOccupancy(const OccupancyGrid& occupancy) { trainer_->SetOccupancy(occupancy.bits()); }
 
+void GpuTraining::SetViews(const PixelSource& pixels) { trainer_->SetViews(MakeGpuViews(pixels)); }
+
 std::optional<GpuTraining::Found> GpuTraining::Step(const Batch& batch, const SceneMap& map,
                                                     const RenderOptions& options, const LossWeights& weights,
                                                     const TrainConfig& config, const LearningRates& rates) {
@@ -118,23 +120,27 @@ GpuTraining::Found GpuTraining::Understand(const device::StepResult& result) con
 
 void GpuTraining::AddToAverage(int64_t n_averaged) { trainer_->AddToAverage(n_averaged); }
 
-RenderResult GpuTraining::Render(const TrainState& state, const Rays& rays, const RenderOptions& options) {
+RenderedImage GpuTraining::RenderImage(const TrainState& state, const Rays& rays, const RenderOptions& options) {
   UploadParameters(state);
-  const int64_t n = rays.origins.size(0);
-  RenderResult result;
-  result.rgb = at::empty({n, 3}, torch::kFloat);
-  result.opacity = at::empty({n}, torch::kFloat);
-  std::vector<float> depth(n), normal(3 * n);
+  const Tensor origins = rays.origins.contiguous(), directions = rays.directions.contiguous();
+  const int64_t n = origins.size(0);
+  RenderedImage image;
+  image.width = int(n);
+  image.height = 1;
+  image.rgb.resize(size_t(3 * n));
+  image.depth.resize(size_t(n));
+  image.normal.resize(size_t(3 * n));
+  image.opacity.resize(size_t(n));
   GpuRays of;
   of.n = n;
-  of.origins = rays.origins.const_data_ptr<float>();
-  of.directions = rays.directions.const_data_ptr<float>();
+  of.origins = origins.const_data_ptr<float>();
+  of.directions = directions.const_data_ptr<float>();
   OnGpu([&] {
-    return trainer_->Render(
-        of, MakeControl(state.map, options),
-        {result.rgb.mutable_data_ptr<float>(), depth.data(), normal.data(), result.opacity.mutable_data_ptr<float>()});
+    return trainer_->Render(of, MakeControl(state.map, options),
+                            {image.rgb.data(), image.depth.data(), image.normal.data(), image.opacity.data()});
   });
-  return result;
+  NormaliseGeometry(image);
+  return image;
 }
 
 void GpuTraining::DensityOf(const float* points, int64_t n, float* sigma) const {

@@ -13,6 +13,7 @@
 #include "model/ray_batch.h"
 #include "model/train_state.h"
 #include "model/training_step.h"
+#include "render/image_renderer.h"
 
 namespace nrff {
 
@@ -28,6 +29,8 @@ class GpuTraining : public DensitySource {
   void UploadParameters(const TrainState& state);
   void Download(TrainState& state) const;
   void SetOccupancy(const OccupancyGrid& occupancy);
+  // As they are now: the same ones with other cameras.
+  void SetViews(const PixelSource& pixels);
 
   // As the CPU's step, of `batch`: n_rays, n_depths, seed and step alone decide which rays. Queued: what comes back is
   // what an earlier step found (GpuTrainer::kLag).
@@ -48,9 +51,9 @@ class GpuTraining : public DensitySource {
 
   void AddToAverage(int64_t n_averaged);
 
-  // Colours and opacities of rays as `state`, a changed one of the training's, shows them; UploadParameters sets back
-  // what this does.
-  RenderResult Render(const TrainState& state, const Rays& rays, const RenderOptions& options);
+  // Rays, an image one pixel high (RenderRayImage), as `state`, a changed one of the training's, shows them;
+  // UploadParameters sets back what this does.
+  RenderedImage RenderImage(const TrainState& state, const Rays& rays, const RenderOptions& options);
 
   void DensityOf(const float* points, int64_t n, float* sigma) const override;
   int64_t points_at_once() const override { return int64_t{1} << 18; }

@@ -110,6 +110,11 @@ class StepProgram {
     CopyToDevice(occupancy_blocks_.data(), bits.blocks, occupancy_blocks_.size(), stream_);
   }
 
+  void SetViews(const std::vector<GpuView>& views) {
+    if (static_cast<int>(views.size()) != n_views_) throw std::invalid_argument("views: another number of them");
+    CopyToDevice(views_.data(), views.data(), views.size() * sizeof(GpuView), stream_);
+  }
+
   // After the parameters were set: what is made of them.
   void QueueTables() {
     if constexpr (!std::is_same_v<Table, float>) {

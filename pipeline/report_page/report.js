@@ -1,5 +1,5 @@
 // The page: sections in order, each left out when there is nothing to show in it.
-const {summary, facts, pictures, geometry, videos, stability} = DATA;
+const {summary, facts, pictures, geometry, certificate, videos, stability} = DATA;
 const main = document.querySelector("main");
 
 function addSection(id, title, hint, ...children) {
@@ -128,6 +128,12 @@ function showSpace(viewer) {
     "Drag to turn, pinch or use the buttons to zoom, click a held-out camera to see its view.", legend, makeSpace(geometry, choose));
 }
 
+function showCertificate() {
+  if (!certificate) return;
+  addSection("certainty", "How well the cameras are known", `${certificateLead(certificate)} ` +
+    "Taken from how well the points that photos share fit together; a mistake that all photos agree on does not show in it.", ...makeCertificate(certificate));
+}
+
 const VERDICTS = {kept: "kept", repeated: "the same as a neighbour", blurred: "blurred", near: "near a kept frame"};
 
 function showVideos() {
@@ -213,6 +219,7 @@ showWarnings();
 const viewer = showImages();
 showTraining();
 showSpace(viewer);
+showCertificate();
 showVideos();
 showStages();
 showDecisions();

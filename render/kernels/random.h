@@ -19,8 +19,9 @@ enum class RandomStream : uint64_t {
   kBatch = 4,            // counter: draw
   kInitialisation = 5,
   kBackground = 6,
-  kDepthBatch = 7,   // counter: draw
-  kDepthJitter = 8,  // counter: ray of the batch
+  kDepthBatch = 7,    // counter: draw
+  kDepthJitter = 8,   // counter: ray of the batch
+  kCameraPixels = 9,  // counter: draw
 };
 
 // The finaliser of splitmix64: a bijection of 64-bit words in which every input bit moves every output bit.

@@ -11,9 +11,11 @@ build/bin."""
 import argparse
 import datetime
 import json
+import math
 import os
 import pathlib
 import random
+import shutil
 import statistics
 import subprocess
 
@@ -67,6 +69,60 @@ def every_fourth(folder, data):
     return photos if video else None
 
 
+def moved(rows, turn, shift):
+    """A 3×4 or 4×4 matrix of a camera, turned by a normal `turn` (radians) about each of its axes and moved by a normal
+    `shift` along each."""
+    x, y, z = (RANDOM.gauss(0, turn) for _ in range(3))
+    angle = math.hypot(x, y, z)
+    ax, ay, az = (x / angle, y / angle, z / angle) if angle else (1, 0, 0)
+    c, s = math.cos(angle), math.sin(angle)
+    rotation = [[c + ax * ax * (1 - c), ax * ay * (1 - c) - az * s, ax * az * (1 - c) + ay * s],
+                [ay * ax * (1 - c) + az * s, c + ay * ay * (1 - c), ay * az * (1 - c) - ax * s],
+                [az * ax * (1 - c) - ay * s, az * ay * (1 - c) + ax * s, c + az * az * (1 - c)]]
+    return [[sum(row[k] * rotation[k][j] for k in range(3)) for j in range(3)] + [row[3] + RANDOM.gauss(0, shift)]
+            for row in rows[:3]] + [[0, 0, 0, 1]]
+
+
+def lego_with_wrong_poses(folder, data):
+    """NSVF's lego whose training cameras are turned by 0.1° about each axis and moved by 0.007 of some 4 (a pixel)."""
+    if data is None:
+        return None
+    source, capture = data / "scenes/lego_nsvf_400", folder / "capture"
+    if not capture.exists():
+        RANDOM.seed(1)
+        capture.mkdir(parents=True)
+        (capture / "rgb").symlink_to(source / "rgb")
+        (folder / "truth").symlink_to(source / "gt/pose")
+        (capture / "pose").mkdir()
+        for name in ["intrinsics.txt", "bbox.txt"]:
+            shutil.copyfile(source / "gt" / name, capture / name)
+        for file in sorted((source / "gt/pose").iterdir()):
+            rows = [[float(word) for word in line.split()] for line in file.read_text().splitlines() if line.strip()]
+            if file.name.startswith("0_"):
+                rows = moved(rows, math.radians(0.1), 0.007)
+            (capture / "pose" / file.name).write_text("\n".join(" ".join(map(repr, row)) for row in rows) + "\n")
+    return capture
+
+
+def made_with_wrong_poses(folder, data):
+    """The example's photos, given with their poses, those of training views as wrong as lego's (its orbit: 4 units)."""
+    capture = folder / "capture"
+    if not capture.exists():
+        RANDOM.seed(2)
+        subprocess.run([BIN / "make_capture", "--out", capture, "--quiet", "--posed", "--views", "32"], check=True)
+        transforms = read(capture / "transforms.json")
+        frames = transforms.pop("frames")
+        for split, own in {"test": frames[::8], "train": [frame for i, frame in enumerate(frames) if i % 8]}.items():
+            if split == "train":
+                for frame in own:
+                    frame["transform_matrix"] = moved(frame["transform_matrix"], math.radians(0.1), 0.007)
+            (capture / f"transforms_{split}.json").write_text(json.dumps(transforms | {"frames": own}))
+        (capture / "transforms.json").rename(folder / "truth.json")
+    return capture
+
+
+RANDOM = random.Random()
+CAMERAS = [("without", [], ["--camera-correction", "off"]), ("with", [], ["--camera-correction", "on"])]
 EXPOSURE = [("without", [], ["--exposure-correction", "off"]), ("with", [], ["--exposure-correction", "on"])]
 MASKS = [("without", ["--masks", "off"], []), ("with", ["--masks", "ignore"], [])]
 # name, facility, capture, and for each variant: its options of the run up to poses, and of training, and its capture
@@ -82,6 +138,11 @@ CASES = [
     ("drifting", "exposure", make(["--views", "32", "--exposure-drift", "2"]), EXPOSURE),
     ("steady", "exposure", make(["--views", "32"]), EXPOSURE),
     ("fox-video", "video", fox_video, VIDEO),
+    ("lego, wrong poses", "cameras", lego_with_wrong_poses, CAMERAS),
+    ("lego", "cameras", real("scenes/lego_nsvf_400"), CAMERAS),
+    ("made, wrong poses", "cameras", made_with_wrong_poses, CAMERAS),
+    ("fox, given poses", "cameras", real("scenes/fox"), CAMERAS),
+    ("fox, COLMAP's poses", "cameras", real("scenes/fox/images"), CAMERAS),
     ("passers-by", "masks", make(["--views", "32", "--passers-by"]), MASKS),
 ]
 
@@ -126,10 +187,13 @@ def measure(case, args, work):
                             out / "render", "--quiet"], check=True)
             subprocess.run([BIN / "nrff-eval", "--scene", workspace / "pose", "--renders", out / "render", "--out",
                             out / "eval", "--lpips", "none", "--quiet"], check=True)
+            if (out / "train/cameras.json").exists():
+                row["pose_error"] = pose_error(out / "train", folder.parent / "truth")
             metrics, train = read(out / "eval" / "metrics.json")["metrics"], read(out / "train" / "manifest.json")
             row["runs"].append({"seed": seed, "psnr": metrics["psnr"], "ssim": metrics["ssim"],
                                 **metrics["variants"], "train_psnr": train["facts"]["train_psnr"],
-                                "seconds_training": train["facts"]["seconds_training"]})
+                                "seconds_training": train["facts"]["seconds_training"],
+                                "camera_displacement_px": train["facts"].get("camera_displacement_px")})
         result["variants"].append(row)
         print(name, variant, " ".join(f"{run['psnr']:.2f}" for run in row["runs"]), flush=True)
     return result
