@@ -53,8 +53,11 @@ std::string DiagnoseRegistration(const Capture& capture, const ColmapDatabase& d
     cause = "the photos show too little texture or are blurred (about " + std::to_string(Median(keypoints)) +
             " features a photo): take sharper photos, in better light, of something that is not smooth";
   } else if (Median(matches) < kFewMatches) {
-    cause =
-        "the photos overlap too little: add photos in between, so that neighbours share two thirds of what they show";
+    const bool has_frames =
+        std::any_of(capture.images.begin(), capture.images.end(), [](const auto& photo) { return photo.extracted; });
+    cause = std::string("the photos overlap too little: ") +
+            (has_frames ? "take more frames of the video with --frames" : "add photos in between") +
+            ", so that neighbours share two thirds of what they show";
   } else {
     cause =
         "the photos match, but not as views of one rigid scene from different places: move the camera between photos"

@@ -16,6 +16,7 @@
 #include "sfm/image_pairs.h"
 #include "sfm/ingest.h"
 #include "sfm/merged_model.h"
+#include "sfm/sfm_diagnosis.h"
 #include "sfm/working_photos.h"
 #include "tests/bundle_fixture.h"
 #include "tests/pose_fixture.h"
@@ -548,6 +549,16 @@ TEST_F(Estimate, LessThanHalfThePhotosIsAnErrorWithADiagnosis) {
   MakeDatabase(20);
   ExpectError(ExitCode::kInput, AllOf(HasSubstr("only 3 of 8 photos could be placed"), HasSubstr("photo 5.png (20)"),
                                       HasSubstr("overlap too little")));
+}
+
+TEST_F(Estimate, FramesOfAVideoThatOverlapTooLittleCanBeMore) {
+  ColmapDatabase database;
+  for (size_t i = 0; i < capture_.images.size(); ++i) {
+    capture_.images[i].extracted = true;
+    database.images[uint32_t(i + 1)] = {WorkingPhotoName(capture_.images[i]), 1, 900};
+  }
+  EXPECT_THAT(DiagnoseRegistration(capture_, database, nullptr),
+              HasSubstr("overlap too little: take more frames of the video with --frames"));
 }
 
 TEST_F(Estimate, PhotosFromOnePlaceAreDiagnosed) {
