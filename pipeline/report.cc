@@ -68,12 +68,8 @@ void WriteReport(const fs::path& workspace) {
   const Json videos = PartOrWarning(summary, [&] { return VideoFrames(state); });
   const Json stability = PartOrWarning(summary, [&] { return ReadStability(state.root / kStabilityFolder); });
   WriteJson(artifact.dir() / "summary.json", summary);
-  const Json page = {{"summary", summary},
-                     {"facts", Facts(state)},
-                     {"pictures", pictures},
-                     {"geometry", geometry},
-                     {"certificate", certificate},
-                     {"videos", videos},
+  const Json page = {{"summary", summary},    {"facts", Facts(state)},      {"pictures", pictures},
+                     {"geometry", geometry},  {"certificate", certificate}, {"videos", videos},
                      {"stability", stability}};
   WriteFileAtomically(artifact.dir() / "report.html", FillPage("report.html", state.name, page));
   artifact.AddOutput("summary.json");
