@@ -231,9 +231,9 @@ RefinedBundle RefineBundle(const ColmapModel& model, const BundleOptions& option
     certificate.before = certificate.after = Summarise(Errors(bundle));
     certificate.cost_before = certificate.cost_after = RobustCost(bundle, options.loss_scale_px);
     certificate.reason = Reason(bundle, model, options, certificate);
+    if (certificate.structure.empty()) certificate.structure = NamedStructure(bundle);
     if (certificate.reason.empty()) refined.model = WithBundle(model, bundle);
   }
-  if (certificate.structure.empty()) certificate.structure = NamedStructure(bundle);
   certificate.accepted = certificate.reason.empty();
   certificate.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   return refined;

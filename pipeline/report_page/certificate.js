@@ -24,7 +24,7 @@ function trackBars(tracks) {
 function certificateLead({cameras, components, degeneracy}) {
   if (cameras.length === 0) return degeneracy ? "The photos leave poses open, so that nothing can be said of single cameras." : "";
   const {name, position, rotation_deg: rotation} = cameras[0];
-  const parts = [`One standard deviation of a camera's place is ${share(middle(cameras.map((camera) => camera.position)))} of its distance ` +
+  const parts = [`Where poses, lenses and points fit together best, one standard deviation of a camera's place is ${share(middle(cameras.map((camera) => camera.position)))} of its distance ` +
     `to the scene's centre, of its direction ${degrees(middle(cameras.map((camera) => camera.rotation_deg)))} (medians). ` +
     `Least is known of ${name}: ${share(position)} and ${degrees(rotation)}.`];
   if (components.length > 1) parts.push(`The photos are ${components.length} groups that share no points: ${components.join(", ")}.`);
@@ -44,7 +44,7 @@ function makeCertificate(certificate) {
   const atMinimum = converged || /at its minimum/.test(reason ?? "");
   const tiles = el("dl", {className: "tiles"});
   const add = (label, value, note) => tiles.append(el("div", {className: "tile"}, el("dt", {}, label), el("dd", {}, value), el("p", {}, note)));
-  add("Reprojection error", px(error.before.median), `median, with the poses in use; ${px(error.before.mean)} in the mean`);
+  add("Reprojection error", px(error.before.median), `median, with the poses in use, which are COLMAP's; ${px(error.before.mean)} in the mean`);
   add("At the joint minimum", px(error.after.median), atMinimum
     ? `of poses, lenses and points together, which the deviations are of; converged${isNumber(remaining) ? `, ${Number(remaining.toPrecision(1))} standard deviations from it` : ""}`
     : sentence(reason ?? "not converged: the fit was stopped before"));

@@ -70,10 +70,12 @@ def row_of(what, run, seconds, truth):
 
 def markdown(results):
     lines = ["# Photos added to a capture: going on against making everything anew", "",
-             f"Made by `tests/bench/extending.py` with {results['version']} on {results['machine']}, "
+             f"Made by `{results['command']}` with {results['version']} on {results['machine']['cpu']}, "
+             f"{results['machine']['cores']} cores, "
              f"{results['date']}: fox, preset small, photos of {results['size']} px, {results['steps']} steps from "
              "scratch. Pose errors are those of `nrff-pose compare` against the poses that come with the scene, "
-             "positions in per cent of their radius. Both runs of all photos hold out the same ones.", "",
+             "positions in per cent of their radius. Both runs of all photos hold out the same ones; the one that goes on "
+             "has the steps of the first run behind it.", "",
              "| photos | registered | sfm, s | train, s | all, s | steps | position | rotation | PSNR | SSIM |",
              "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|"]
     for row in results["rows"]:
@@ -98,7 +100,8 @@ def main():
     photos = sorted((truth / "images").iterdir())
     version = subprocess.run([str(BIN / "nrff-pose"), "--version"], check=True, capture_output=True, text=True).stdout
     results = {"version": version.split()[-1], "machine": machine(), "date": datetime.date.today().isoformat(),
-               "command": " ".join(sys.argv), "steps": args.steps, "size": args.size, "rows": []}
+               "command": f"tests/bench/extending.py DATA_DIR OUT.json --steps {args.steps} --first {args.first} "
+                          f"--size {args.size}", "steps": args.steps, "size": args.size, "rows": []}
     folder = args.work / "fox"
     for what, run, base, n in ((f"{args.first}", "first", None, args.first),
                                (f"{len(photos)}, going on from {args.first}", "on", args.work / "first", len(photos)),
