@@ -497,8 +497,9 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
                      " photos could be placed together: " + groups + ". " +
                      AdviseOnPieces(capture, pieces, artifact.dir() / kPieceLists));
   }
-  const bool refine = !attempts[best].settings.lenses.empty();
+  const bool refine = options.refine && largest->images.size() <= kMostImagesForCovariance;
   const ColmapModel found = refine ? Refined(*largest, options.n_threads) : *largest;
+  artifact.facts()["refined"] = refine;
   const ColmapModel working = base ? InBasesWorld(*base, capture, attempts[best], found, artifact) : found;
   double reprojection_error_px = 0;
   const ColmapModel model = AtFullSize(working, capture, reprojection_error_px);

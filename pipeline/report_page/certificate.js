@@ -44,7 +44,7 @@ function makeCertificate(certificate) {
   const atMinimum = converged || /at its minimum/.test(reason ?? "");
   const tiles = el("dl", {className: "tiles"});
   const add = (label, value, note) => tiles.append(el("div", {className: "tile"}, el("dt", {}, label), el("dd", {}, value), el("p", {}, note)));
-  add("Reprojection error", px(error.before.median), `median, with the poses in use, which are COLMAP's; ${px(error.before.mean)} in the mean`);
+  add("Reprojection error", px(error.before.median), `median, with the poses in use; ${px(error.before.mean)} in the mean`);
   add("At the joint minimum", px(error.after.median), atMinimum
     ? `of poses, lenses and points together, which the deviations are of; converged${isNumber(remaining) ? `, ${Number(remaining.toPrecision(1))} standard deviations from it` : ""}`
     : sentence(reason ?? "not converged: the fit was stopped before"));
