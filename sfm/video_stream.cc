@@ -12,6 +12,7 @@
 #include <chrono>
 #include <cstdio>
 #include <cstring>
+#include <fstream>
 #include <future>
 #include <string>
 
@@ -164,7 +165,10 @@ std::string WhyNoVideo(const fs::path& video, const Probe& probe) {
     const size_t colon = line.rfind(": ");
     reason = EscapePath(std::string(line.substr(colon == std::string_view::npos ? 0 : colon + 2)));
   });
-  return cut ? "its index is missing: the recording or a copy was cut short" : reason;
+  char start[8] = {};
+  std::ifstream(video, std::ios::binary).read(start, sizeof start);
+  const bool is_movie = std::string_view(start + 4, 4) == "ftyp";  // MP4, MOV
+  return cut && is_movie ? "its index is missing: the recording or a copy was cut short" : reason;
 }
 
 }  // namespace

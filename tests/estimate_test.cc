@@ -164,7 +164,9 @@ class Estimate : public ::testing::Test {
 
 TEST_F(Estimate, TheModelComesNamedByIdAndAtThePhotosSize) {
   AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
-  const Manifest manifest = Run();
+  EstimateOptions options;
+  options.refine = false;
+  const Manifest manifest = Run(options);
   const ColmapModel model = ReadColmapModel(sfm_ / "sparse");
   ASSERT_EQ(model.images.size(), 8u);
   EXPECT_EQ(model.images.begin()->second.name, "000000");
@@ -182,6 +184,22 @@ TEST_F(Estimate, TheModelComesNamedByIdAndAtThePhotosSize) {
   EXPECT_EQ(manifest.facts.at("colmap_version"), "3.8");
   EXPECT_FALSE(fs::exists(sfm_ / "work"));
   EXPECT_TRUE(fs::exists(sfm_ / "colmap.log"));
+}
+
+TEST_F(Estimate, TheModelIsRefined) {
+  std::vector<std::string> names;
+  for (const CaptureImage& photo : capture_.images) names.push_back(WorkingPhotoName(photo));
+  ColmapModel model = MakeModel(names, 32, 24, -0.05);
+  for (auto& [id, image] : model.images) image.translation += Eigen::Vector3d(0.004 * double(id % 3), 0, 0);
+  AddModel(0, model, "models");
+  EstimateOptions options;
+  options.refine = false;
+  EXPECT_EQ(Run(options).facts.at("refined"), false);
+  const double before = ReadJson(sfm_ / "refinement.json").at("reprojection_error_px").at("before").at("mean");
+  const Manifest refined = Run();
+  EXPECT_EQ(refined.facts.at("refined"), true);
+  EXPECT_GT(before, 0.01);
+  EXPECT_LT(refined.facts.at("reprojection_error_px").get<double>(), 1e-3 * before);
 }
 
 TEST_F(Estimate, TheLargestOfSeveralModelsIsTaken) {
@@ -465,6 +483,7 @@ TEST_F(EstimateExtended, AModelThatBentIsNotInTheEarlierWorld) {
   fs::remove_all(fake_ / "models");
   fs::create_directories(fake_ / "models/0");
   WriteColmapBinary(bent, fake_ / "models/0");
+  options_.refine = false;  // which mends it
   const Manifest manifest = Run(options_);
   EXPECT_EQ(manifest.facts.at("extension").at("frame_kept"), false);
   EXPECT_EQ(manifest.facts.at("extension").at("mapped_anew"), true);
