@@ -223,11 +223,11 @@ TEST_F(CameraCorrectionsTest, ViewsThatAreAddedHaveNone) {
   more.push_back(true_[0]);
   more.back().id = "added";
   const CameraCorrections all = known.Of(more);
-  EXPECT_EQ(all.poses.size(), 9u);
+  EXPECT_EQ(all.poses.size(), size_t(kViews + 1));
   EXPECT_EQ(all.Corrected(true_[2]).scene_from_camera, known.Corrected(true_[2]).scene_from_camera);
   EXPECT_EQ(all.Corrected(more.back()).scene_from_camera, more.back().scene_from_camera);
   EXPECT_EQ(all.Corrected(more.back()).fx, known.Corrected(true_[0]).fx);
-  EXPECT_EQ(all.poses[0].view, true_[7].id);
+  EXPECT_EQ(all.poses[0].view, true_.back().id);
 }
 
 TEST_F(CameraCorrectionsTest, JsonHoldsThemAndRefusesWhatIsNotFinite) {
