@@ -160,6 +160,7 @@ Attempt WithRicherLenses(const Capture& capture, Attempt attempt, const LensChoi
   attempt.settings.lenses = LensesByGroup(capture, largest, choice.chosen);
   attempt.settings.name += ", richer lenses";
   attempt.seconds_features = attempt.seconds_matching = attempt.seconds_mapping = 0;
+  attempt.n_pairs = 0;
   const bool wide = std::any_of(attempt.settings.lenses.begin(), attempt.settings.lenses.end(),
                                 [](const auto& lens) { return FieldOfView_deg(lens.second) >= kWide_deg; });
   if (!wide) return attempt;
