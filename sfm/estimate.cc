@@ -498,7 +498,8 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
                      " photos could be placed together: " + groups + ". " +
                      AdviseOnPieces(capture, pieces, artifact.dir() / kPieceLists));
   }
-  const bool refine = options.refine && largest->images.size() <= kMostImagesForCovariance;
+  const bool richer = !attempts[best].settings.lenses.empty();
+  const bool refine = options.refine.value_or(richer) && largest->images.size() <= kMostImagesForCovariance;
   const ColmapModel found = refine ? Refined(*largest, options.n_threads) : *largest;
   artifact.facts()["refined"] = refine;
   const ColmapModel working = base ? InBasesWorld(*base, capture, attempts[best], found, artifact) : found;

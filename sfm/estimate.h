@@ -18,7 +18,7 @@ struct EstimateOptions {
   std::optional<int> max_image_size;        // px, longer side of the photos that features are found in
   std::optional<int> max_features;          // per photo
   std::optional<CameraModel> camera_model;  // of all lenses; then no other is tried
-  bool refine = true;                       // the model found, by bundle_refinement.h
+  std::optional<bool> refine;               // the model found, by bundle_refinement.h; forced either way
   std::filesystem::path base;               // an artifact of fewer of the photos, under the same ids; empty: none
   double stall_limit_seconds = 300;         // the longest COLMAP may neither print nor use the processor
   int n_threads = 1;
@@ -28,12 +28,11 @@ struct EstimateOptions {
 // colmap.log, facts and decisions into the artifact. A second attempt with larger photos, more features and more pairs
 // is made where needs::SecondAttempt says so; the better one counts. Lenses are SIMPLE_RADIAL, and richer ones where
 // needs::RicherLens says so (lens_choice.h): then matches are verified and photos mapped again with these, and the
-// result refined (bundle_refinement.h), as every model of up to kMostImagesForCovariance photos is: with its lens
-// fox's cameras lie 0.6 ‰ of their radius from the given ones, with COLMAP's last adjustment and simple lens 3.1 ‰;
-// cup's 22 and 19 (tests/bench/results/matching.md). Photos that fall into groups which nothing joins are listed in
-// groups/N.txt, and the largest group goes on. What another estimate can go on from stays in mapping/, and how well the
-// photos fix the model in refinement.json (bundle_refinement.h; up to kMostImagesForCovariance photos); both are no
-// payload.
+// result refined (bundle_refinement.h). Models of simple lenses are not, unless asked for: to free the principal point,
+// too, turned maryrose's cameras by 0.65° from the given ones instead of 0.05°. Photos that fall into groups which
+// nothing joins are listed in groups/N.txt, and the largest group goes on. What another estimate can go on from stays
+// in mapping/, and how well the photos fix the model in refinement.json (bundle_refinement.h; up to
+// kMostImagesForCovariance photos); both are no payload.
 //
 // With a base, its model grows by the added photos (Reconstruct), is checked (needs::SameWorld) and laid over the
 // base's world. Where it does not hold or lacks photos, all are mapped from scratch, of the features and matches that

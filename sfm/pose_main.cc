@@ -86,8 +86,8 @@ int main(int argc, char** argv) {
                              "OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE"}))
       ->capture_default_str()
       ->group(nrff::kParameterGroup);
-  estimate->add_flag("!--no-refinement", estimation.refine, "keep COLMAP's last adjustment: no joint refinement")
-      ->group(nrff::kParameterGroup);
+  nrff::AddForcedOption(*estimate, "--refinement", estimation.refine, "on", "off",
+                        "refine poses, lenses, points together at the end");
 
   CLI::App* normalise = app.add_subcommand("normalise",
                                            "Normalises the poses, undistorts and packs the photos.\nExample: nrff-pose "

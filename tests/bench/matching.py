@@ -185,7 +185,7 @@ def run_capture(data, name, work, binaries):
         return nrff
 
     nrff = estimated("nrff")
-    simple = estimated("nrff-simple", "--no-refinement", "--camera-model", "SIMPLE_RADIAL")
+    simple = estimated("nrff-simple", "--refinement", "off", "--camera-model", "SIMPLE_RADIAL")
     n_images = len(original)
     return {"capture": name, "n_images": n_images, "n_all_pairs": n_images * (n_images - 1) // 2,
             "colmap_default": default, "nrff": nrff, "nrff_simple": simple,
