@@ -25,19 +25,6 @@ std::string CheckStage(const std::string& text) {
   return "'" + text + "' is no stage; the stages are " + all;
 }
 
-// Decisions that can be forced: the stage that makes them, its option, and the option's words for needed and not
-// needed.
-struct Forceable {
-  const char *feature, *stage, *option, *needed, *left_out;
-};
-constexpr Forceable kForceable[] = {{"exhaustive_matching", "sfm", "matching", "exhaustive", "selective"},
-                                    {"undistortion", "pose", "undistortion", "on", "off"},
-                                    {"contraction", "pose", "contraction", "on", "off"},
-                                    {"sparse_depth", "train", "sparse-depth", "on", "off"},
-                                    {"fine_levels", "train", "fine-levels", "on", "off"},
-                                    {"exposure_correction", "train", "exposure-correction", "on", "off"},
-                                    {"camera_correction", "train", "camera-correction", "on", "off"}};
-
 // The form alone: what keys there are, the training program knows.
 std::string CheckSettings(const std::string& text) {
   std::istringstream words(text);
@@ -70,7 +57,7 @@ std::string CheckThreads(const std::string& text) { return CheckRange(text, 1, k
 
 std::string CheckFeature(const std::string& text) {
   std::string all;
-  for (const Forceable& forceable : kForceable) {
+  for (const Forceable& forceable : Forceables()) {
     if (text == forceable.feature) return {};
     all += (all.empty() ? "" : ", ") + std::string(forceable.feature);
   }
@@ -78,7 +65,7 @@ std::string CheckFeature(const std::string& text) {
 }
 
 void AddForced(const std::string& feature, bool needed, Params& params) {
-  for (const Forceable& forceable : kForceable) {
+  for (const Forceable& forceable : Forceables()) {
     if (feature != forceable.feature) continue;
     const std::string word = needed ? forceable.needed : forceable.left_out;
     const auto [entry, is_new] = params.emplace(forceable.option, word);
@@ -238,7 +225,7 @@ std::vector<BranchRequest> MakeBranches(const BranchOptions& options) {
 
 std::vector<std::string> ForceableFeatures(const std::vector<Node>& nodes) {
   std::vector<std::string> features;
-  for (const Forceable& forceable : kForceable) {
+  for (const Forceable& forceable : Forceables()) {
     if (std::any_of(nodes.begin(), nodes.end(), [&](const Node& node) { return node.stage == forceable.stage; })) {
       features.emplace_back(forceable.feature);
     }
@@ -247,7 +234,7 @@ std::vector<std::string> ForceableFeatures(const std::vector<Node>& nodes) {
 }
 
 std::optional<bool> ForcedDecision(const BranchRequest& request, const std::string& feature) {
-  for (const Forceable& forceable : kForceable) {
+  for (const Forceable& forceable : Forceables()) {
     const auto given = request.options.find(forceable.option);
     if (feature == forceable.feature && given != request.options.end()) return given->second == forceable.needed;
   }

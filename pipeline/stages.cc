@@ -31,14 +31,14 @@ struct Stage {
   std::vector<std::string> kept = {};  // files that a run with photos added takes over; none: --base is not known
 };
 
-const std::vector<Stage>& Table() {
-  static const std::vector<Stage> table = {
+std::vector<Stage> StagesWithoutForceables() {
+  return {
       {"ingest", "nrff-ingest", "", {}, {"frames", "masks"}, {}, false, 512 * kMebibyte, {"capture.json"}},
       {"sfm",
        "nrff-pose",
        "estimate",
        {{"--ingest", "ingest"}},
-       {"seed", "matching", "sfm-image-size", "sfm-features"},
+       {"seed", "sfm-image-size", "sfm-features"},
        {},
        true,
        2048 * kMebibyte,
@@ -47,7 +47,7 @@ const std::vector<Stage>& Table() {
        "nrff-pose",
        "normalise",
        {{"--ingest", "ingest"}, {"--sfm", "sfm"}},
-       {"max-image-size", "undistortion", "contraction"},
+       {"max-image-size"},
        {},
        false,
        1024 * kMebibyte,
@@ -56,8 +56,7 @@ const std::vector<Stage>& Table() {
        "nrff-train",
        "",
        {{"--scene", "pose"}},
-       {"preset", "set", "directional", "steps", "budget", "seed", "fine-levels", "sparse-depth", "exposure-correction",
-        "device"},
+       {"preset", "set", "directional", "steps", "budget", "seed", "device"},
        {},
        true,
        2048 * kMebibyte,
@@ -73,6 +72,18 @@ const std::vector<Stage>& Table() {
       {"eval", "nrff-eval", "", {{"--scene", "pose"}, {"--renders", "render"}}, {}, {"lpips"}, false, 1024 * kMebibyte},
       {"report", "nrff", "report", {}, {}, {}, false, 256 * kMebibyte},
   };
+}
+
+const std::vector<Stage>& Table() {
+  static const std::vector<Stage> table = [] {
+    std::vector<Stage> stages = StagesWithoutForceables();
+    for (const Forceable& forceable : Forceables()) {
+      for (Stage& stage : stages) {
+        if (stage.name == forceable.stage) stage.params.emplace_back(forceable.option);
+      }
+    }
+    return stages;
+  }();
   return table;
 }
 
@@ -186,6 +197,18 @@ bool IsMadeOf(const Manifest& manifest, const std::vector<Manifest>& inputs) {
 }
 
 }  // namespace
+
+const std::vector<Forceable>& Forceables() {
+  static const std::vector<Forceable> forceables = {
+      {"exhaustive_matching", "sfm", "matching", "exhaustive", "selective"},
+      {"undistortion", "pose", "undistortion", "on", "off"},
+      {"contraction", "pose", "contraction", "on", "off"},
+      {"sparse_depth", "train", "sparse-depth", "on", "off"},
+      {"fine_levels", "train", "fine-levels", "on", "off"},
+      {"exposure_correction", "train", "exposure-correction", "on", "off"},
+      {"camera_correction", "train", "camera-correction", "on", "off"}};
+  return forceables;
+}
 
 KeptFiles ExtendableStages(const Workspace& workspace) {
   RealDisk disk;

@@ -28,6 +28,13 @@ struct BranchRequest {
   std::string until;    // the last stage; empty: all
 };
 
+// Decisions that can be forced: the stage that makes them, its option, and the option's words for needed and not
+// needed.
+struct Forceable {
+  const char *feature, *stage, *option, *needed, *left_out;
+};
+const std::vector<Forceable>& Forceables();
+
 // The first node of the branch. It expands into the rest once the capture is known to bring its poses or not.
 Node FirstNode(const BranchRequest& request, const Machine& machine);
 

@@ -10,6 +10,7 @@
 #include <sstream>
 #include <thread>
 
+#include "pipeline/branches.h"
 #include "pipeline/commands.h"
 #include "pipeline/disk.h"
 #include "pipeline/error.h"
@@ -18,6 +19,7 @@
 #include "pipeline/local_executor.h"
 #include "pipeline/manifest.h"
 #include "pipeline/progress_view.h"
+#include "pipeline/stages.h"
 #include "pipeline/workspace.h"
 #include "tests/driver_fixture.h"
 
@@ -68,6 +70,16 @@ TEST_F(DriverTest, ForcedDecisionsGoToTheStagesThatMakeThem) {
   EXPECT_EQ(ReadManifest(root_ / "work/sfm")->params, (Params{{"matching", "selective"}}));
   EXPECT_EQ(ReadManifest(root_ / "work/pose")->params, (Params{{"undistortion", "on"}}));
   EXPECT_EQ(ReadManifest(root_ / "work/train")->params, (Params{{"sparse-depth", "off"}}));
+  std::vector<std::string> all;
+  for (const Forceable& forceable : Forceables()) {
+    all.insert(all.end(), {"--need", forceable.feature});
+    EXPECT_THAT(kFeaturesHelp, HasSubstr(std::string(" ") + forceable.feature));
+  }
+  EXPECT_EQ(RunFox(all).exit_code, 0);
+  for (const Forceable& forceable : Forceables()) {
+    EXPECT_THAT(ReadManifest(root_ / "work" / forceable.stage)->params,
+                Contains(std::pair<const std::string, std::string>(forceable.option, forceable.needed)));
+  }
   const ProgramResult before = Nrff({"plan", "--need", "contraction", "--leave-out", "undistortion", Path("fox")});
   EXPECT_EQ(before.exit_code, 0) << before.err;
   const ProgramResult both = RunFox({"--need", "contraction", "--leave-out", "contraction"});

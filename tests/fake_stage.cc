@@ -34,9 +34,23 @@ void Note(const std::string& line) {
   if (!path.empty()) std::ofstream(path, std::ios::app) << line << std::endl;
 }
 
-const std::set<std::string> kParams = {
-    "preset", "steps",       "budget",       "seed",      "max-image-size", "undistortion", "contraction", "matching",
-    "set",    "fine-levels", "sparse-depth", "bit-depth", "sfm-image-size", "sfm-features", "directional"};
+const std::set<std::string> kParams = {"preset",
+                                       "steps",
+                                       "budget",
+                                       "seed",
+                                       "max-image-size",
+                                       "undistortion",
+                                       "contraction",
+                                       "matching",
+                                       "set",
+                                       "fine-levels",
+                                       "sparse-depth",
+                                       "bit-depth",
+                                       "sfm-image-size",
+                                       "sfm-features",
+                                       "directional",
+                                       "exposure-correction",
+                                       "camera-correction"};
 // Files of the capture by name, and their hashes.
 std::map<std::string, std::string> FilesOf(const fs::path& capture) {
   std::map<std::string, std::string> files;
