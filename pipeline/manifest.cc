@@ -187,6 +187,11 @@ double ArtifactWriter::SecondsSoFar() const {
   return seconds_before_ + std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
 }
 
+void ArtifactWriter::AddDecision(const Decision& decision) {
+  std::erase_if(manifest_.decisions, [&](const Decision& earlier) { return earlier.feature == decision.feature; });
+  manifest_.decisions.push_back(decision);
+}
+
 void ArtifactWriter::SaveSeconds() const {
   WriteJson(dir_ / kPartialState, {{"key", AttemptKey(manifest_)}, {"seconds", SecondsSoFar()}});
 }

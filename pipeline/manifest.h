@@ -84,7 +84,8 @@ class ArtifactWriter {
   double SecondsSoFar() const;  // this attempt and, if resumed, those before it that called SaveSeconds
 
   Json& facts() { return manifest_.facts; }
-  void AddDecision(const Decision& decision) { manifest_.decisions.push_back(decision); }
+  // One that is made again replaces the earlier one.
+  void AddDecision(const Decision& decision);
   // Names a payload file or a directory (all files below it), relative to dir(). Files not named stay in the artifact
   // but are not part of its content hash (logs).
   void AddOutput(const std::string& relative_path) { outputs_.push_back(relative_path); }

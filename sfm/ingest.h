@@ -36,9 +36,9 @@ HashedPath CaptureInput(const std::filesystem::path& capture);
 // alpha channels without masks the background.
 struct IngestOptions {
   std::optional<Masks> masks;
-  bool without_masks = false;  // they are not looked at
-  int frames = 0;              // of each video; 0: as far apart as the picture moves (frame_choice.h)
-  std::filesystem::path base;  // an ingest artifact; empty: none
+  bool without_masks = false;       // they are not looked at
+  int frames = 0;                   // of each video; 0: as far apart as the picture moves (frame_choice.h)
+  std::filesystem::path base = {};  // an ingest artifact; empty: none
   int n_threads = 1;
 };
 void Ingest(const std::filesystem::path& capture, const IngestOptions& options, ArtifactWriter& artifact);

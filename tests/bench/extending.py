@@ -94,7 +94,7 @@ def main():
     parser.add_argument("--steps", type=int, default=1500)
     parser.add_argument("--first", type=int, default=35)
     parser.add_argument("--size", type=int, default=400)
-    parser.add_argument("--work", type=pathlib.Path, default=pathlib.Path("/tmp/nrff-extending"))
+    parser.add_argument("--work", type=pathlib.Path, default=pathlib.Path("work/extending"))
     args = parser.parse_args()
     truth = args.data / "scenes/fox"
     photos = sorted((truth / "images").iterdir())

@@ -12,12 +12,13 @@ import argparse
 import datetime
 import json
 import math
-import os
 import pathlib
 import random
 import shutil
 import statistics
 import subprocess
+
+import captures_table
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 BIN = ROOT / "build" / "bin"
@@ -248,9 +249,7 @@ def main():
     parser.add_argument("--max-image-size", type=int, default=400)
     parser.add_argument("--work", type=pathlib.Path, default=pathlib.Path("facilities-work"))
     args = parser.parse_args()
-    with open("/proc/cpuinfo") as file:
-        model = next(line.split(":")[1].strip() for line in file if line.startswith("model name"))
-    machine = f"{model}, {os.cpu_count()} cores"
+    machine = "{cpu}, {cores} cores".format(**captures_table.machine())
     found = read(args.out.with_suffix(".json"))["results"] if args.out.with_suffix(".json").exists() else []
     by_name = {result["name"]: result for result in found}
     for case in CASES:

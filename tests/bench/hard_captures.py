@@ -9,11 +9,12 @@ are not run, what OUT.json has is kept. Pose errors are medians after alignment 
 import argparse
 import datetime
 import json
-import os
 import pathlib
 import shutil
 import subprocess
 import time
+
+import captures_table
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 SIZE = ["--views", "20"]
@@ -143,9 +144,7 @@ def main():
     parser.add_argument("--bin", type=pathlib.Path, default=ROOT / "build" / "bin")
     args = parser.parse_args()
     args.work = args.work.resolve()
-    with open("/proc/cpuinfo") as file:
-        model = next(line.split(":")[1].strip() for line in file if line.startswith("model name"))
-    host = {"machine": f"{model}, {os.cpu_count()} cores", "date": str(datetime.date.today())}
+    host = {"machine": "{cpu}, {cores} cores".format(**captures_table.machine()), "date": str(datetime.date.today())}
     found = read(args.out.with_suffix(".json"))["rows"] if args.out.with_suffix(".json").exists() else []
     rows = {(row["capture"], row["variant"]): row for row in found}
     for case in CASES:
