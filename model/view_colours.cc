@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "pipeline/error.h"
+#include "pipeline/statistics.h"
 
 namespace nrff {
 namespace {
@@ -31,9 +32,8 @@ double MedianFromMiddle(const std::vector<View>& views) {
   }
   std::vector<double> distances;
   for (const View& view : views) distances.push_back(Distance(Place(view), middle));
-  const auto median = distances.begin() + std::ptrdiff_t(distances.size() / 2);
-  std::nth_element(distances.begin(), median, distances.end());
-  return *median > 0 ? *median : 1;  // a camera that only turned
+  const double median = Median(std::move(distances));
+  return median > 0 ? median : 1;  // a camera that only turned
 }
 
 }  // namespace

@@ -9,6 +9,7 @@
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "pipeline/json.h"
+#include "pipeline/statistics.h"
 
 namespace nrff {
 namespace {
@@ -23,12 +24,6 @@ Vec3 Cross(const Vec3& a, const Vec3& b) {
 }
 Vec3 Unit(const Vec3& a) { return AddScaled({0, 0, 0}, 1 / std::sqrt(Dot(a, a)), a); }
 Vec3 Column(const Mat4& m, int c) { return {m[c], m[4 + c], m[8 + c]}; }
-
-double Median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 std::vector<Mat4> TrainingPoses(const Scene& scene) {
   std::vector<Mat4> poses;

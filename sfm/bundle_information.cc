@@ -8,7 +8,7 @@
 #include <cmath>
 #include <limits>
 
-#include "sfm/statistics.h"
+#include "pipeline/statistics.h"
 
 namespace nrff {
 namespace {

@@ -11,7 +11,7 @@
 #include "sfm/bundle_information.h"
 #include "sfm/bundle_problem.h"
 #include "sfm/distortion.h"
-#include "sfm/statistics.h"
+#include "pipeline/statistics.h"
 
 namespace nrff {
 namespace {

@@ -45,8 +45,6 @@ struct EstimateOptions {
 // the groups, when fewer than kFewestImages, or less than kFewest of the photos, could be placed together.
 void EstimatePoses(const std::filesystem::path& ingest_dir, const EstimateOptions& options, ArtifactWriter& artifact);
 
-inline constexpr char kMappingDir[] = "mapping";  // database.db, model/*.bin, settings.json
-
 inline constexpr double kFewest = 0.5;
 inline constexpr int kFewestImages = 3;
 

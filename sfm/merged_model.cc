@@ -8,7 +8,7 @@
 
 #include "pipeline/error.h"
 #include "sfm/distortion.h"
-#include "sfm/statistics.h"
+#include "pipeline/statistics.h"
 #include "sfm/trajectory_errors.h"
 
 namespace nrff {

@@ -34,7 +34,10 @@ std::optional<std::vector<fs::path>> FoldersOfPieces(const Capture& capture, con
   std::vector<fs::path> folders;
   for (const Piece& piece : pieces.pieces) {
     const fs::path folder = capture.images[size_t(piece.photos.front())].path.parent_path();
-    const auto in_folder = [&](int photo) { return capture.images[size_t(photo)].path.parent_path() == folder; };
+    const auto in_folder = [&](int photo) {
+      const CaptureImage& image = capture.images[size_t(photo)];
+      return !image.extracted && image.path.parent_path() == folder;  // frames lie elsewhere
+    };
     if (folder.empty() || std::find(folders.begin(), folders.end(), folder) != folders.end() ||
         !std::all_of(piece.photos.begin(), piece.photos.end(), in_folder))
       return {};

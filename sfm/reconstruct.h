@@ -67,6 +67,11 @@ struct Attempt {
 // By photos, then points; nullptr where there is none.
 const ColmapModel* LargestModel(const std::vector<ColmapModel>& models);
 
+// What the attempt came to: the earlier model grown by the added photos, unless mapping from scratch placed more;
+// nullptr and 0 photos where there is none.
+const ColmapModel* BestModel(const Attempt& attempt);
+size_t NumRegistered(const Attempt& attempt);
+
 // Throws what Colmap throws; a mapper that finds no model is no failure. Where photos stay outside of the largest
 // model, pairs of them with it are matched, too, and if any of these hold, mapping is done again: pieces that were
 // joined by too few pairs become one.

@@ -13,7 +13,7 @@
 
 #include "pipeline/error.h"
 #include "pipeline/files.h"
-#include "sfm/statistics.h"
+#include "pipeline/statistics.h"
 
 namespace nrff {
 namespace {

@@ -16,7 +16,7 @@
 #include "pipeline/json.h"
 #include "sfm/image_io.h"
 #include "sfm/normalise.h"
-#include "sfm/statistics.h"
+#include "pipeline/statistics.h"
 
 namespace nrff {
 namespace {

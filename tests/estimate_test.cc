@@ -12,10 +12,12 @@
 
 #include "pipeline/extension.h"
 #include "pipeline/process.h"
+#include "sfm/base_mapping.h"
 #include "sfm/colmap_database.h"
 #include "sfm/image_pairs.h"
 #include "sfm/ingest.h"
 #include "sfm/merged_model.h"
+#include "sfm/pieces.h"
 #include "sfm/sfm_diagnosis.h"
 #include "sfm/working_photos.h"
 #include "tests/bundle_fixture.h"
@@ -500,6 +502,29 @@ TEST_F(EstimateExtended, OtherSettingsOfFeaturesAreNoExtension) {
   EXPECT_THAT(Calls(), Not(HasSubstr("--input_path")));
 }
 
+TEST_F(EstimateExtended, AnotherLensIsNoExtension) {
+  options_.camera_model = CameraModel::kOpenCV;
+  AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
+  EXPECT_FALSE(Run(options_).facts.contains("extension"));
+}
+
+TEST(SfmSettings, ComeBackWithTheirLenses) {
+  SfmSettings settings;
+  settings.name = "fast, as fisheyes";
+  settings.camera_model = CameraModel::kRadial;
+  settings.lenses[3] = {0, CameraModel::kOpenCVFisheye, 640, 480, {300, 301, 320, 240, 0.1, -0.02, 0, 0}};
+  const Json json = ToJson(settings);
+  const SfmSettings read = SfmSettingsFromJson(json, "settings.json");
+  EXPECT_EQ(ToJson(read), json);
+  EXPECT_EQ(read.lenses.at(3).params, settings.lenses.at(3).params);
+  EXPECT_EQ(read.camera_model, CameraModel::kRadial);
+  for (const auto& [key, value] : {std::pair("camera_model", Json("PANORAMIC")), {"params", Json{1, 2}}}) {
+    Json broken = json;
+    broken["lenses"][0][key] = value;
+    EXPECT_THROW(SfmSettingsFromJson(broken, "settings.json"), Error) << key;
+  }
+}
+
 // Photos match where they are of the same group, whose last photo is given.
 std::function<int(int, int)> WithinGroups(std::vector<int> ends, int between = 0) {
   return [ends, between](int a, int b) {
@@ -563,6 +588,16 @@ TEST_F(Estimate, GroupsInFoldersOfTheirOwnAreToBeRunFromThere) {
   MakeDatabase(WithinGroups({4, 7}));
   EXPECT_THAT(Run().facts.at("groups_advice").get<std::string>(),
               HasSubstr("nrff run " + (capture_.root / "a").native() + ", nrff run " + (capture_.root / "b").native()));
+}
+
+TEST_F(Estimate, GroupsOfFramesAreInNoFolderThatCouldBeRun) {
+  Pieces pieces;
+  pieces.pieces = {{{0, 1, 2, 3, 4}, 10}, {{5, 6, 7}, 10}};
+  for (size_t i = 0; i < capture_.images.size(); ++i) capture_.images[i].path = fs::path(i < 5 ? "a" : "b") / "x.jpg";
+  EXPECT_THAT(AdviseOnPieces(capture_, pieces, "groups"), HasSubstr("nrff run"));
+  for (CaptureImage& photo : capture_.images) photo.extracted = true;
+  EXPECT_THAT(AdviseOnPieces(capture_, pieces, "groups"),
+              AllOf(Not(HasSubstr("nrff run")), HasSubstr("groups/1.txt and so on list the photos")));
 }
 
 TEST_F(Estimate, LessThanHalfThePhotosIsAnErrorWithADiagnosis) {

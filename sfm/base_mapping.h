@@ -1,0 +1,45 @@
+// What an estimate of poses leaves for one that has photos added to it, and what that makes of it.
+#pragma once
+
+#include <filesystem>
+#include <optional>
+#include <set>
+#include <string>
+
+#include "pipeline/json.h"
+#include "pipeline/manifest.h"
+#include "sfm/capture.h"
+#include "sfm/colmap_model.h"
+#include "sfm/colmap_runner.h"
+#include "sfm/reconstruct.h"
+
+namespace nrff {
+
+inline constexpr char kMappingDir[] = "mapping";  // of an estimate's artifact: database.db, model/*.bin, settings.json
+
+// `working`: of the working photos; `asked`: the options that decide which features and lenses there are.
+void KeepMapping(const Attempt& attempt, const ColmapModel& working, const Json& asked,
+                 const std::filesystem::path& dir);
+
+struct BaseMapping {
+  SfmSettings settings;
+  EarlierMapping mapping;
+  ColmapModel model;
+  std::set<std::string> photos;  // working names
+};
+
+// Of the artifact `base_dir`. Nothing, with a warning, where it was asked for otherwise. Throws CorruptError naming the
+// file that cannot be used.
+std::optional<BaseMapping> ReadBaseMapping(const std::filesystem::path& base_dir, const Json& asked);
+
+// The base's model grown by the added photos, and, where that does not hold, what is mapped anew. Throws what Colmap
+// throws.
+Attempt Extend(const BaseMapping& base, SfmSettings settings, const Capture& capture, Colmap& colmap,
+               const std::filesystem::path& work, const ArtifactWriter& artifact);
+
+// The model in the base's world where the two can be laid over each other. Writes extension.json (estimate.h), its fact
+// and the decision.
+ColmapModel InBasesWorld(const BaseMapping& base, const Capture& capture, const Attempt& attempt, ColmapModel model,
+                         ArtifactWriter& artifact);
+
+}  // namespace nrff
