@@ -22,8 +22,8 @@ BaseTraining ReadBaseTraining(const std::filesystem::path& dir);
 // Fills the parameters of `state`, which has the same field but for corrected views, with the checkpoint's mean (or
 // its parameters, where it has none), and takes over Adam's moments of all but the corrections, cameras, the box, the
 // number of rays, and the occupancy: cells that the views of `state` see and the checkpoint's did not have yet to be
-// measured. Counters start at 0, moments of the schedule are those that are behind. Throws CorruptError as
-// LoadCheckpoint.
+// measured. Counters start at 0, moments of the schedule are those that are behind, but for looks at cameras, which
+// are taken again, at all views. Throws CorruptError as LoadCheckpoint.
 void LoadBase(const std::filesystem::path& dir, TrainState& state);
 
 }  // namespace nrff

@@ -1,21 +1,15 @@
-// Small corrections of the cameras, found while a model is trained: every camera is moved so that what the model shows
-// through it agrees with its photo [direct image alignment, Engel18], over all training views at once.
+// Small corrections of a scene's cameras, found while a model is trained (camera_update.h).
 //
 // A correction moves a camera in its own axes, T' = T·[R(turn) | shift], and changes focal length and principal point,
 // which views of equal intrinsics share: f' = f·exp(log_focal), c' = c + shift.
 #pragma once
 
-#include <torch/types.h>
-
-#include <cstdint>
-#include <functional>
 #include <string>
+#include <tuple>
 #include <vector>
 
-#include "model/ray_batch.h"
 #include "pipeline/json.h"
 #include "pipeline/scene.h"
-#include "render/image_renderer.h"
 
 namespace nrff {
 
@@ -23,6 +17,9 @@ struct PoseCorrection {
   std::string view;  // its id
   Vec3 turn{};       // radians, a rotation vector in the camera's axes
   Vec3 shift{};      // scene units, in the camera's axes
+
+  // Followed by another correction, in the axes of the camera as it is corrected.
+  void Append(const Vec3& further_turn, const Vec3& further_shift);
 };
 
 struct IntrinsicsCorrection {
@@ -30,6 +27,8 @@ struct IntrinsicsCorrection {
   double fx = 0, fy = 0, cx = 0, cy = 0;  // these intrinsics
   double log_focal = 0;
   double shift_x = 0, shift_y = 0;  // px, of the principal point
+
+  auto Given() const { return std::tie(width, height, fx, fy, cx, cy); }
 };
 
 struct CameraCorrections {
@@ -40,6 +39,8 @@ struct CameraCorrections {
   static CameraCorrections None(const std::vector<View>& training);
   // Of these training views: those that are known, none of the others.
   CameraCorrections Of(const std::vector<View>& training) const;
+  // Place of the view's intrinsics among those that are known; their number where they are not.
+  size_t KindOf(const View& view) const;
   // A view of the scene as it is corrected: its pose where it is a training view, its intrinsics where training views
   // have the same.
   View Corrected(View view) const;
@@ -48,38 +49,6 @@ struct CameraCorrections {
 void to_json(Json& json, const CameraCorrections& corrections);
 // Throws when a key is missing, of another type, or a number is not finite.
 void from_json(const Json& json, CameraCorrections& corrections);
-
-inline constexpr int kTournament = 8;
-
-struct CameraUpdate {
-  CameraCorrections corrections;        // in total
-  std::vector<double> displacement_px;  // by training view: root mean square motion of its picture by them
-};
-
-// Rays as an image one pixel high, each in the exposure of its view; view [n] int32, index of training views.
-using RenderTrainingRays = std::function<RenderedImage(const Rays& rays, const torch::Tensor& view)>;
-
-// One Gauss-Newton step from `so_far`. `given`: the training views as the scene has them; `pixels` has them corrected
-// by so_far. Pixels are looked at from the stream (seed, kCameraPixels at counter): of every kTournament
-// that are drawn the one about which the photo changes most, since the others say little about the camera.
-//
-// Residuals are the colours' differences, with Huber's weights by their median size; their derivatives by a pixel's
-// place are central differences over a pixel of what the model shows, and its motion is that of the point at the depth
-// that the model shows. Corrections are normally distributed about none, so that what the photos leave open stays as it
-// was, and what all poses have in common, a similarity of the world, is taken out: the held-out views' cameras, which
-// nothing is corrected by, stay right. Of the step so much as `gain` is made: less than 1 averages what several looks,
-// each at other pixels, say.
-struct CameraLook {
-  int n_pixels = 200;  // of each view
-  double gain = 1;
-  uint64_t seed = 0, counter = 0;
-};
-CameraUpdate UpdateCameras(const PixelSource& pixels, const std::vector<View>& given, const CameraCorrections& so_far,
-                           const RenderTrainingRays& render, const CameraLook& look);
-
-// What the corrections have in common, the similarity of the world that explains most of them, to first order.
-// `distance`, scene units: a turn counts as much as the shift that looks like it so far away.
-void TakeOutCommonMotion(const std::vector<View>& given, double distance, std::vector<PoseCorrection>& poses);
 
 // JSON of the corrected cameras of all views: {"schema_version", "views": [{"id", "name", "split", "width", "height",
 // "fx", "fy", "cx", "cy", "scene_from_camera": 16, row-major, "displacement_px": of training views}]}.

@@ -204,7 +204,6 @@ void LoadBase(const std::filesystem::path& dir, TrainState& state) {
   number("train_mse", state.train_mse);
   number("cameras", state.cameras);
   number("camera_first_px", state.camera_first_px);
-  number("camera_moments_done", state.camera_moments_done);
   OccupancyGrid::State occupancy = ReadOccupancy(file).GetState();
   // In bounded scenes, whose box may have shrunk, every cell is seen.
   if (state.map.unbounded) {

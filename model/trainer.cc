@@ -8,13 +8,14 @@
 #include <optional>
 #include <utility>
 
-#include "model/camera_corrections.h"
+#include "model/camera_update.h"
 #include "model/kernels/adam.h"
 #include "model/schedule.h"
 #include "model/view_colours.h"
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "pipeline/log.h"
+#include "pipeline/statistics.h"
 #include "render/kernels/colour_correction.h"
 
 namespace nrff {
@@ -222,11 +223,8 @@ void Trainer::CorrectCameras() {
                      .seed = options_.seed,
                      .counter = uint64_t(state_.camera_moments_done)});
   if (first) {
-    std::vector<double> sorted = update.displacement_px;
-    const auto median = sorted.begin() + std::ptrdiff_t(sorted.size() / 2);
-    std::nth_element(sorted.begin(), median, sorted.end());
-    state_.camera_first_px = *median;
-    if (*median < config.camera_least_px) return;
+    state_.camera_first_px = Median(update.displacement_px);
+    if (state_.camera_first_px < config.camera_least_px) return;
   }
   state_.cameras = update.corrections;
   state_.camera_displacements_px = update.displacement_px;

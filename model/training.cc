@@ -19,6 +19,7 @@
 #include "pipeline/log.h"
 #include "pipeline/progress.h"
 #include "pipeline/scene.h"
+#include "pipeline/statistics.h"
 #include "render/compute.h"
 
 namespace nrff {
@@ -300,10 +301,9 @@ Json Curve(const TrainState& state) {
 
 // Of the pictures by the corrections, px: {"median", "largest"}, or null where cameras stayed as they were.
 Json CameraDisplacement(const TrainState& state) {
-  std::vector<double> sorted = state.camera_displacements_px;
-  if (sorted.empty()) return {};
-  std::sort(sorted.begin(), sorted.end());
-  return {{"median", sorted[sorted.size() / 2]}, {"largest", sorted.back()}};
+  const std::vector<double>& moved = state.camera_displacements_px;
+  if (moved.empty()) return {};
+  return {{"median", Median(moved)}, {"largest", *std::max_element(moved.begin(), moved.end())}};
 }
 
 }  // namespace
@@ -428,8 +428,8 @@ void RunTraining(const TrainingRequest& request, const Params& params) {
                       {"n_parameters", state.field.n_parameters()},
                       {"occupied_fraction", state.occupancy.OccupiedFraction()},
                       {"resumed", state.resumed}};
-  Decision camera_correction =
-      needs::CameraCorrection(state.camera_first_px < 0 ? std::nullopt : std::optional(state.camera_first_px));
+  Decision camera_correction = needs::CameraCorrection(
+      state.camera_first_px < 0 ? std::nullopt : std::optional(state.camera_first_px), preset.train.camera_least_px);
   Force(camera_correction, request.camera_correction);
   decisions.push_back(camera_correction);
   if (!state.cameras.poses.empty()) {

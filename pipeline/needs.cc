@@ -167,12 +167,12 @@ Decision ExposureCorrection(double spread_ev, bool unbounded) {
                    : "the photos agree, or have neither points nor EXIF to tell by"};
 }
 
-Decision CameraCorrection(std::optional<double> displacement_px) {
-  const bool needed = displacement_px && *displacement_px >= kVisibleDisplacement_px;
+Decision CameraCorrection(std::optional<double> displacement_px, double least_px) {
+  const bool needed = displacement_px && *displacement_px >= least_px;
   return {"camera_correction", needed,
           displacement_px ? Format("corrected cameras would move pictures by %.2f px", *displacement_px)
                           : "the preset looks at no cameras",
-          Format("%.1f px in the median of the training views", kVisibleDisplacement_px),
+          Format("%.1f px in the median of the training views", least_px),
           needed            ? "photos and model disagree about where the cameras are"
           : displacement_px ? "the poses are as good as the young model can tell"
                             : "it keeps the poses as they are"};

@@ -1,6 +1,6 @@
 // Cameras found from what a model shows: exact on a world of known colours, and of use while a model is trained.
 
-#include "model/camera_corrections.h"
+#include "model/camera_update.h"
 
 #include <ATen/ATen.h>
 #include <gtest/gtest.h>

@@ -74,6 +74,23 @@ TEST(Presets, ForcedDecisionsChangeTheModelAsTheySay) {
   EXPECT_THROW(FitDepths(preset, 0, true, true), Error) << "there are none";
 }
 
+TEST(Presets, CamerasAreCorrectedFromTheirThresholdOnOrAsIsForced) {
+  EXPECT_FALSE(needs::CameraCorrection({}, 0.8).needed);
+  EXPECT_FALSE(needs::CameraCorrection(0.79, 0.8).needed);
+  EXPECT_TRUE(needs::CameraCorrection(0.8, 0.8).needed);
+  EXPECT_FALSE(needs::CameraCorrection(0.8, 2).needed) << "training was told otherwise";
+  Preset paper = MakePreset("paper", false), small = MakePreset("small", true);
+  FitCameras(paper);
+  EXPECT_TRUE(paper.train.camera_moments.empty());
+  FitCameras(paper, true);
+  EXPECT_FALSE(paper.train.camera_moments.empty());
+  EXPECT_EQ(paper.train.camera_least_px, 0);
+  FitCameras(small);
+  EXPECT_EQ(small.train.camera_least_px, needs::kVisibleDisplacement_px);
+  FitCameras(small, false);
+  EXPECT_TRUE(small.train.camera_moments.empty());
+}
+
 TEST(Presets, SingleValuesCanBeSetAndWhatCannotBeIsNamed) {
   Preset preset = MakePreset("small", true);
   ApplySettings("field.levels=10  train.step_voxels=[10,20] train.step_moments=[0.5] train.lazy_grids=false", preset);

@@ -116,6 +116,7 @@ class ExtendedTraining : public TrainStage {
  protected:
   ExtendedTraining() {
     request.exposure_correction = true;
+    request.camera_correction = true;
     request.settings = "train.correction_rate=0.05";
     Scene fewer = scene_;
     std::erase_if(fewer.views, [&](const View& view) { return IsAdded(view); });
@@ -178,6 +179,12 @@ TEST_F(ExtendedTraining, GoesOnFromTheMeanOfTheBaseForAShareOfTheSteps) {
   }
   EXPECT_GT(*std::max_element(before.begin(), before.end()), 1e-3) << "the base learnt none";
   EXPECT_EQ(RequireArtifact(request.out, "train").inputs.back().hash, HashTree(base_));
+  // Cameras of added views are looked at, too.
+  const CameraCorrections cameras = LoadModel(request.out)->cameras;
+  EXPECT_EQ(LoadModel(base_)->cameras.poses.size(), 4u);
+  ASSERT_EQ(cameras.poses.size(), 6u);
+  for (const PoseCorrection& pose : cameras.poses)
+    EXPECT_NE(pose.turn, Vec3{}) << pose.view << " was not looked at";
 }
 
 TEST_F(ExtendedTraining, StartsAnewInAnotherFrame) {
