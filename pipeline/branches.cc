@@ -17,12 +17,16 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::string CheckStage(const std::string& text) {
-  const auto& names = StageNames();
-  if (std::find(names.begin(), names.end(), text) != names.end()) return {};
+// `refusal`: " is no …; give ", say.
+std::string CheckWord(const std::string& text, const std::vector<std::string>& words, const std::string& refusal) {
+  if (std::find(words.begin(), words.end(), text) != words.end()) return {};
   std::string all;
-  for (const std::string& name : names) all += (all.empty() ? "" : ", ") + name;
-  return "'" + text + "' is no stage; the stages are " + all;
+  for (const std::string& word : words) all += (all.empty() ? "" : ", ") + word;
+  return "'" + text + "'" + refusal + all;
+}
+
+std::string CheckStage(const std::string& text) {
+  return CheckWord(text, StageNames(), " is no stage; the stages are ");
 }
 
 // The form alone: what keys there are, the training program knows.
@@ -42,12 +46,14 @@ std::string CheckSettings(const std::string& text) {
 std::string CheckImageSize(const std::string& text) { return CheckRange(text, kLeastMaxImageSize, kMostMaxImageSize); }
 
 std::string CheckMasks(const std::string& text) {
-  return text == "ignore" || text == "background" || text == "off"
-             ? ""
-             : "'" + text + "' is nothing that masks can mean; give ignore, background or off";
+  return CheckWord(text, MaskMeanings(), " is nothing that masks can mean; give one of ");
 }
 
-std::string CheckFrames(const std::string& text) { return CheckRange(text, 3, 2000); }
+std::string CheckCameraModel(const std::string& text) {
+  return CheckWord(text, CameraModelChoices(), " is no camera model; give one of ");
+}
+
+std::string CheckFrames(const std::string& text) { return CheckRange(text, kLeastFramesAsked, kMostFramesAsked); }
 
 std::string CheckBitDepth(const std::string& text) {
   return text == "8" || text == "16" ? "" : "'" + text + "' is no bit depth; give 8 or 16";
@@ -56,12 +62,9 @@ std::string CheckBitDepth(const std::string& text) {
 std::string CheckThreads(const std::string& text) { return CheckRange(text, 1, kMostThreads); }
 
 std::string CheckFeature(const std::string& text) {
-  std::string all;
-  for (const Forceable& forceable : Forceables()) {
-    if (text == forceable.feature) return {};
-    all += (all.empty() ? "" : ", ") + std::string(forceable.feature);
-  }
-  return "'" + text + "' is nothing that can be forced; that can be " + all;
+  std::vector<std::string> features;
+  for (const Forceable& forceable : Forceables()) features.emplace_back(forceable.feature);
+  return CheckWord(text, features, " is nothing that can be forced; that can be ");
 }
 
 void AddForced(const std::string& feature, bool needed, Params& params) {
@@ -88,6 +91,7 @@ Params GivenOptions(const BranchOptions& options) {
   add("device", options.device);
   add("frames", options.frames);
   add("masks", options.masks);
+  add("camera-model", options.camera_model);
   add("max-image-size", options.max_image_size);
   add("bit-depth", options.bit_depth);
   add("lpips", options.lpips.empty() || options.lpips == needs::kNoLpips
@@ -152,6 +156,8 @@ void AddBranchOptions(CLI::App& command, BranchOptions& options) {
   add("--steps", options.steps, "N", "Training steps; not with --budget")->check(CheckPositive)->excludes(budget);
   add("--frames", options.frames, "N", "Of each video (default: as its picture moves)")->check(CheckFrames);
   add("--masks", options.masks, "WHAT", "Masks mean: ignore (default), background; or off")->check(CheckMasks);
+  add("--camera-model", options.camera_model, "NAME", "COLMAP's, of all lenses (default: as photos need)")
+      ->check(CheckCameraModel);
   add("--max-image-size", options.max_image_size, "PX",
       "Shrink photos to this side (default: " + default_of("max-image-size", kMaxImageSize) + ")")
       ->check(CheckImageSize);

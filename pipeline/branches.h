@@ -16,8 +16,8 @@ namespace nrff {
 // The options of `nrff run` and `nrff plan` that say what is to be made.
 struct BranchOptions {
   std::vector<std::string> targets;  // captures or workspaces
-  std::string workspace, budget, preset, set, directional, steps, frames, masks, max_image_size, bit_depth, lpips,
-      device, threads, seed, from;
+  std::string workspace, budget, preset, set, directional, steps, frames, masks, camera_model, max_image_size,
+      bit_depth, lpips, device, threads, seed, from;
   std::string until;
   std::vector<std::string> need, leave_out;  // features whose decision is forced
   bool force = false;
@@ -30,8 +30,8 @@ void AddTargetOption(CLI::App& command, BranchOptions& options);
 void AddBranchOptions(CLI::App& command, BranchOptions& options);
 // A line for the foot of their help.
 inline constexpr char kFeaturesHelp[] =
-    "FEATURE: exhaustive_matching undistortion contraction sparse_depth\n  fine_levels exposure_correction "
-    "camera_correction\n";
+    "FEATURE: exhaustive_matching gps_pairs second_attempt refinement undistortion\n  own_focal_lengths contraction "
+    "sparse_depth fine_levels exposure_correction\n  camera_correction\n";
 
 // One request per target. A target that is a workspace stands for its capture with the options of its last run, where
 // none are given now. Nothing is written. Throws UsageError, InputError.

@@ -20,7 +20,8 @@ bool IsWhole(const std::string& text) {
 
 void AddVerbosityOptions(CLI::App& command, OutputOptions& output) {
   auto* quiet = command.add_flag("-q,--quiet", output.quiet, "Warnings and errors only");
-  command.add_flag("-v,--verbose", output.verbose, "All that the stages say")->excludes(quiet);
+  auto* verbose = command.add_flag("-v,--verbose", output.verbose, "All that the stages say")->excludes(quiet);
+  for (CLI::Option* option : {quiet, verbose}) option->option_text(" ");  // one line each: that they exclude is plain
 }
 
 void AddJsonOption(CLI::App& command, OutputOptions& output) {

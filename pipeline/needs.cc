@@ -116,6 +116,22 @@ Decision RicherLens(const std::string& model, double error_px, const std::string
           needed ? richer + " describes the lens better" : model + " describes the lens as well as " + richer};
 }
 
+Decision OwnFocalLengths(double shared_px, double own_px) {
+  constexpr double kVisible_px = 0.01;  // no feature is placed better
+  const bool needed = own_px <= 0.97 * shared_px && shared_px - own_px >= kVisible_px;
+  return {"own_focal_lengths", needed,
+          Format("observations held out are %.4f px off with shared focal lengths", shared_px) +
+              Format(", %.4f with a photo's own", own_px),
+          "3 % and 0.01 px less",
+          needed ? "the lens was zoomed or focused anew" : "one focal length describes the photos as well"};
+}
+
+Decision Refinement(bool richer_lenses) {
+  return {"refinement", richer_lenses, richer_lenses ? "lenses are richer than those mapped with" : "lenses are simple",
+          "lenses richer than SIMPLE_RADIAL",
+          richer_lenses ? "poses and points follow their lenses" : "COLMAP's last adjustment has them as they are"};
+}
+
 Decision Fisheye(int n_placed, size_t n_observations, int n_placed_as_fisheye, size_t n_observations_as_fisheye) {
   const bool needed = n_placed_as_fisheye > 0 && n_placed_as_fisheye >= n_placed &&
                       double(n_observations_as_fisheye) >= 1.1 * double(n_observations);

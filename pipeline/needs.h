@@ -61,6 +61,17 @@ Decision SecondAttempt(int n_images, int n_registered, int n_groups, int n_in_gr
 // lenses that the simpler model is true of less than 1.5 % (tests/lens_choice_test.cc), as of maryrose (0.1 %) and cup.
 Decision RicherLens(const std::string& model, double error_px, const std::string& richer, double richer_error_px);
 
+// A focal length for each photo takes the place of shared ones only where it predicts observations held out of the fit
+// better by 3 %. Of cup_simple_pinhole, whose given focal lengths differ by a tenth, it is 4.5 % (poses off by 1.12 →
+// 0.49° and 19 → 12 ‰ from the given ones); of maryrose 2.1 % and fox 0.7 %, whose cameras come off by 6 and 2 times as
+// far with it (tests/bench/results/matching.md).
+Decision OwnFocalLengths(double shared_px, double own_px);
+
+// Poses, lenses and points are refined together at the end where lenses were found to be richer than COLMAP mapped
+// with. Of simple ones COLMAP's own last adjustment stays: to free the principal point, too, turned maryrose's cameras
+// by 0.65° from the given ones instead of 0.05°.
+Decision Refinement(bool richer_lenses);
+
 // Photos that may be a fisheye's are mapped as such, too, from the same matches; it is one where no fewer photos are
 // placed and a tenth more observations agree. EXIF cannot tell: 15 mm are a fisheye's 160° as well as a telephone's
 // corrected 110°. A made fisheye's poses were 45 times and a 120° barrel's 6 times as far off with a simple lens, which

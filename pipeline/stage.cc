@@ -55,6 +55,26 @@ std::string CommandName(const CLI::App& app) {
 
 }  // namespace
 
+const std::vector<std::string>& MaskMeanings() {
+  static const std::vector<std::string> meanings = {"ignore", "background", "off"};
+  return meanings;
+}
+
+const std::vector<std::string>& CameraModelChoices() {
+  static const std::vector<std::string> choices = {"auto",
+                                                   "SIMPLE_PINHOLE",
+                                                   "PINHOLE",
+                                                   "SIMPLE_RADIAL",
+                                                   "RADIAL",
+                                                   "OPENCV",
+                                                   "FULL_OPENCV",
+                                                   "OPENCV_FISHEYE",
+                                                   "SIMPLE_RADIAL_FISHEYE",
+                                                   "RADIAL_FISHEYE",
+                                                   "THIN_PRISM_FISHEYE"};
+  return choices;
+}
+
 Params GivenParams(const CLI::App& app) {
   Params params;
   for (const CLI::Option* option : app.get_options()) {

@@ -6,6 +6,7 @@
 #include <functional>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "pipeline/manifest.h"
 
@@ -15,8 +16,11 @@ namespace nrff {
 // verbosity, output place) do not.
 inline constexpr char kParameterGroup[] = "Parameters";
 
-// The most that --threads and --max-image-size take, checked by the driver as by the stages.
+// What options take, checked by the driver as by the stages.
 inline constexpr int kMostThreads = 1024, kMostMaxImageSize = 65536;
+inline constexpr int kLeastFramesAsked = 3, kMostFramesAsked = 2000;  // of each video
+const std::vector<std::string>& MaskMeanings();
+const std::vector<std::string>& CameraModelChoices();  // auto, and COLMAP's names
 
 // The options of `app` in kParameterGroup that were given, as text (several values joined by ','; flags "true").
 Params GivenParams(const CLI::App& app);

@@ -38,7 +38,7 @@ std::vector<Stage> StagesWithoutForceables() {
        "nrff-pose",
        "estimate",
        {{"--ingest", "ingest"}},
-       {"seed", "sfm-image-size", "sfm-features"},
+       {"seed", "sfm-image-size", "sfm-features", "camera-model"},
        {},
        true,
        2048 * kMebibyte,
@@ -201,6 +201,10 @@ bool IsMadeOf(const Manifest& manifest, const std::vector<Manifest>& inputs) {
 const std::vector<Forceable>& Forceables() {
   static const std::vector<Forceable> forceables = {
       {"exhaustive_matching", "sfm", "matching", "exhaustive", "selective"},
+      {"gps_pairs", "sfm", "gps-pairs", "on", "off"},
+      {"second_attempt", "sfm", "second-attempt", "on", "off"},
+      {"refinement", "sfm", "refinement", "on", "off"},
+      {"own_focal_lengths", "sfm", "own-focal-lengths", "on", "off"},
       {"undistortion", "pose", "undistortion", "on", "off"},
       {"contraction", "pose", "contraction", "on", "off"},
       {"sparse_depth", "train", "sparse-depth", "on", "off"},

@@ -50,7 +50,7 @@ std::optional<BaseMapping> ReadBaseMapping(const fs::path& base_dir, const Json&
   const fs::path dir = base_dir / kMappingDir, settings = dir / kSettingsFile;
   const std::string where = EscapePath(settings);
   const Json json = ReadJson(settings);
-  if (Get<Json>(json, "asked", where) != asked) {
+  if (json.value("asked", Json()) != asked) {
     LogWarning("poses are estimated anew: the earlier ones were estimated with other options");
     return {};
   }

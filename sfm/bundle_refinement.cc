@@ -8,10 +8,10 @@
 
 #include "pipeline/error.h"
 #include "pipeline/files.h"
+#include "pipeline/statistics.h"
 #include "sfm/bundle_information.h"
 #include "sfm/bundle_problem.h"
 #include "sfm/distortion.h"
-#include "pipeline/statistics.h"
 
 namespace nrff {
 namespace {
@@ -225,6 +225,10 @@ RefinedBundle RefineBundle(const ColmapModel& model, const BundleOptions& option
   RefinedBundle refined{model, {}};
   BundleCertificate& certificate = refined.certificate;
   Bundle bundle = SelectBundle(model, certificate);
+  for (Bundle::Camera& camera : bundle.cameras) {
+    camera.free[Bundle::kPrincipal] &= options.principal_points;
+    camera.free[Bundle::kDistortion] &= options.distortion;
+  }
   if (certificate.degeneracy) {
     certificate.reason = *certificate.degeneracy;
   } else {

@@ -26,7 +26,7 @@ struct CaptureImage {
   std::string hash;              // of the file's bytes
   std::filesystem::path mask{};  // as path (masks.h); empty: none
   std::string mask_hash{};
-  int camera = 0;   // group: same make, model, focal length and size
+  int camera = 0;   // group: same make, model, focal length and size (SensorSize)
   double blur = 0;  // MeasureBlur (image_measures.h)
 
   std::string Name() const;  // the file's name, escaped (EscapePath)

@@ -20,6 +20,7 @@
 #include "sfm/lens_attempts.h"
 #include "sfm/pieces.h"
 #include "sfm/reconstruct.h"
+#include "sfm/sensor_frame.h"
 #include "sfm/sfm_diagnosis.h"
 #include "sfm/source.h"
 #include "sfm/working_photos.h"
@@ -82,12 +83,14 @@ Json AttemptFacts(const Attempt& attempt) {
           {"seconds", attempt.seconds_features + attempt.seconds_matching + attempt.seconds_mapping}};
 }
 
-// The model as the rest of the pipeline wants it: images named by id, cameras of the photos' own size.
+// The model as the rest of the pipeline wants it: images named by id, cameras of the photos' own size, turned as they
+// are displayed.
 ColmapModel AtFullSize(const ColmapModel& working, const Capture& capture, double& reprojection_error_px) {
   std::map<std::string, const CaptureImage*> by_id;
   for (const CaptureImage& photo : capture.images) by_id[photo.id] = &photo;
   ColmapModel model = working;
-  std::map<uint32_t, double> scale_by_image;  // photo px per working px
+  std::map<uint32_t, double> scale_by_image;                    // photo px per working px
+  std::map<std::pair<uint32_t, int>, uint32_t> turned_cameras;  // by camera and quarter turns
   for (auto& [id, image] : model.images) {
     image.name = IdOfWorkingPhoto(image.name);
     const auto photo = by_id.find(image.name);
@@ -95,14 +98,22 @@ ColmapModel AtFullSize(const ColmapModel& working, const Capture& capture, doubl
       throw CorruptError("COLMAP's model holds an image " + image.name +
                          " that is not of this capture; remove the partial artifact and run again");
     const ColmapCamera& camera = working.cameras.at(image.camera_id);
-    const ImageInfo& info = photo->second->info;
-    model.cameras[image.camera_id] = ScaledCamera(camera, info.width, info.height);
-    const double scale_x = double(info.width) / camera.width, scale_y = double(info.height) / camera.height;
+    const auto [width, height] = SensorSize(photo->second->info);
+    const int turns = QuarterTurns(photo->second->info.orientation);
+    if (turns > 0) {
+      const uint32_t next_id = model.cameras.rbegin()->first + 1;
+      image.camera_id = turned_cameras.emplace(std::pair(camera.id, turns), next_id).first->second;
+    }
+    ColmapCamera full_size = TurnedCamera(ScaledCamera(camera, width, height), turns);
+    full_size.id = image.camera_id;
+    model.cameras[image.camera_id] = std::move(full_size);
+    const double scale_x = double(width) / camera.width, scale_y = double(height) / camera.height;
     scale_by_image[id] = (scale_x + scale_y) / 2;
     for (ColmapObservation& observation : image.observations) {
       observation.x *= scale_x;
       observation.y *= scale_y;
     }
+    TurnImage(image, width, height, turns);
   }
   std::erase_if(model.cameras, [&](const auto& camera) {
     return std::none_of(model.images.begin(), model.images.end(),
@@ -169,7 +180,8 @@ void RecordFacts(const std::vector<Attempt>& attempts, const Attempt& best, cons
 // The options that decide which features and lenses there are.
 Json Asked(const EstimateOptions& options) {
   const auto or_null = [](const auto& value) { return value ? Json(*value) : Json(); };
-  return {{"max_image_size", or_null(options.max_image_size)},
+  return {{"photos", "as their sensor had them"},
+          {"max_image_size", or_null(options.max_image_size)},
           {"max_features", or_null(options.max_features)},
           {"camera_model", options.camera_model ? Json(CameraModelName(*options.camera_model)) : Json()}};
 }
@@ -189,6 +201,18 @@ void Certify(const ColmapModel& model, int n_threads, ArtifactWriter& artifact) 
                                      {"degeneracy", json.at("degeneracy")},
                                      {"structure", certificate.structure},
                                      {"median_error_px", json.at("reprojection_error_px").at("before").at("median")}};
+}
+
+// With a focal length for each image where photos need it.
+ColmapModel WithFocalLengths(const ColmapModel& mapped, const EstimateOptions& options, ArtifactWriter& artifact) {
+  const std::optional<FocalLengthTrial> trial = TryOwnFocalLengths(mapped, options.n_threads);
+  if (!trial) return mapped;
+  Decision own = needs::OwnFocalLengths(trial->shared_px, trial->own_px);
+  Force(own, options.own_focal_lengths);
+  artifact.AddDecision(own);
+  if (!own.needed) return mapped;
+  LogInfo("a focal length for each photo: " + own.evidence);
+  return WithOwnFocalLengths(mapped, options.n_threads);
 }
 
 struct Outcome {
@@ -261,8 +285,9 @@ Outcome MakeAttempts(const Capture& capture, const EstimateOptions& options, boo
     }
     const Pieces& pieces = outcome.pieces = FindPieces(capture, attempts[best].database, attempts[best].models);
     if (given || level > first_level) break;
-    const Decision again = needs::SecondAttempt(n_images, int(NumRegistered(attempts[best])), int(pieces.pieces.size()),
-                                                pieces.NumPlaced(), pieces.n_holding);
+    Decision again = needs::SecondAttempt(n_images, int(NumRegistered(attempts[best])), int(pieces.pieces.size()),
+                                          pieces.NumPlaced(), pieces.n_holding);
+    Force(again, options.second_attempt);
     artifact.AddDecision(again);
     if (!again.needed) break;
     LogWarning("too few: trying again with larger photos and more features");
@@ -284,8 +309,12 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
   bool gps_pairs = false;
   if (!matching.needed) {
     const std::vector<GpsPosition> positions = GpsPositions(capture);
-    const Decision gps =
+    Decision gps =
         needs::GpsPairs(positions.empty() ? std::nullopt : std::optional(Spread_m(LocalPositions(positions))));
+    if (options.gps_pairs == true && positions.empty())
+      throw InputError(
+          "pairs by GPS were asked for, but not every photo says where it was taken; leave --gps-pairs on out");
+    Force(gps, options.gps_pairs);
     gps_pairs = gps.needed;
     artifact.AddDecision(gps);
   }
@@ -311,11 +340,14 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
                      " photos could be placed together: " + groups + ". " +
                      AdviseOnPieces(capture, pieces, artifact.dir() / kPieceLists));
   }
-  const bool richer = !attempts[best].settings.lenses.empty();
-  const bool refine = options.refine.value_or(richer) && largest->images.size() <= kMostImagesForCovariance;
+  Decision refinement = needs::Refinement(!attempts[best].settings.lenses.empty());
+  Force(refinement, options.refine);
+  artifact.AddDecision(refinement);
+  const bool refine = refinement.needed && largest->images.size() <= kMostImagesForCovariance;
   const ColmapModel found = refine ? RefineBundle(*largest, {.n_threads = options.n_threads}).model : *largest;
   artifact.facts()["refined"] = refine;
-  const ColmapModel working = base ? InBasesWorld(*base, capture, attempts[best], found, artifact) : found;
+  const ColmapModel mapped = base ? InBasesWorld(*base, capture, attempts[best], found, artifact) : found;
+  const ColmapModel working = WithFocalLengths(mapped, options, artifact);
   double reprojection_error_px = 0;
   const ColmapModel model = AtFullSize(working, capture, reprojection_error_px);
   fs::create_directories(artifact.dir() / kGivenModelDir);
@@ -328,7 +360,7 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
     LogWarning(groups + ". Going on with the largest. " + advice);
   }
   Certify(model, options.n_threads, artifact);
-  KeepMapping(attempts[best], working, Asked(options), artifact.dir() / kMappingDir);
+  KeepMapping(attempts[best], mapped, Asked(options), artifact.dir() / kMappingDir);
   fs::remove_all(artifact.dir() / kWorkDir);
   artifact.AddOutput(kGivenModelDir);
 }

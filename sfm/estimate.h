@@ -18,9 +18,11 @@ struct EstimateOptions {
   std::optional<int> max_image_size;        // px, longer side of the photos that features are found in
   std::optional<int> max_features;          // per photo
   std::optional<CameraModel> camera_model;  // of all lenses; then no other is tried
-  std::optional<bool> refine;               // the model found, by bundle_refinement.h; forced either way
-  std::filesystem::path base;               // an artifact of fewer of the photos, under the same ids; empty: none
-  double stall_limit_seconds = 300;         // the longest COLMAP may neither print nor use the processor
+  // Decisions forced either way.
+  std::optional<bool> refine;  // the model found, by bundle_refinement.h
+  std::optional<bool> own_focal_lengths, gps_pairs, second_attempt;
+  std::filesystem::path base;        // an artifact of fewer of the photos, under the same ids; empty: none
+  double stall_limit_seconds = 300;  // the longest COLMAP may neither print nor use the processor
   int n_threads = 1;
 };
 
@@ -28,8 +30,8 @@ struct EstimateOptions {
 // colmap.log, facts and decisions into the artifact. A second attempt with larger photos, more features and more pairs
 // is made where needs::SecondAttempt says so; the better one counts. Lenses are SIMPLE_RADIAL, and richer ones where
 // needs::RicherLens says so (lens_choice.h): then matches are verified and photos mapped again with these, and the
-// result refined (bundle_refinement.h). Models of simple lenses are not, unless asked for: to free the principal point,
-// too, turned maryrose's cameras by 0.65° from the given ones instead of 0.05°. Photos that fall into groups which
+// result refined where needs::Refinement says so (bundle_refinement.h). Photos of a group share a camera, unless
+// needs::OwnFocalLengths gives each a focal length of its own at the very end. Photos that fall into groups which
 // nothing joins are listed in groups/N.txt, and the largest group goes on. What another estimate can go on from stays
 // in mapping/, and how well the photos fix the model in refinement.json (bundle_refinement.h; up to
 // kMostImagesForCovariance photos); both are no payload.

@@ -21,6 +21,7 @@
 #include "sfm/masks.h"
 #include "sfm/photo_work.h"
 #include "sfm/recognise.h"
+#include "sfm/sensor_frame.h"
 #include "sfm/video.h"
 
 namespace nrff {
@@ -151,12 +152,13 @@ void CheckEnough(const Source& source, size_t n_usable, const std::vector<Reject
                    " different ones are needed, two to reconstruct from and one held out");
 }
 
-// Numbers the groups of photos with the same make, model, focal length and size in order of appearance.
+// Numbers the groups of photos with the same make, model, focal length and size, as their sensors had them, in order of
+// appearance.
 int GroupCameras(std::vector<CaptureImage>& images) {
-  std::map<std::tuple<std::string, std::string, double, int, int>, int> groups;
+  std::map<std::tuple<std::string, std::string, double, std::pair<int, int>>, int> groups;
   for (CaptureImage& image : images) {
     const ImageInfo& info = image.info;
-    const auto key = std::tuple(info.make, info.model, info.focal_px.value_or(0), info.width, info.height);
+    const auto key = std::tuple(info.make, info.model, info.focal_px.value_or(0), SensorSize(info));
     image.camera = groups.emplace(key, static_cast<int>(groups.size())).first->second;
   }
   return static_cast<int>(groups.size());

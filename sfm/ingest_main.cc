@@ -36,10 +36,10 @@ int main(int argc, char** argv) {
   };
   app.add_option_function<std::string>("--masks", set_masks, "What masks leave out: ignore (default), background; off")
       ->group(nrff::kParameterGroup)
-      ->check(CLI::IsMember({"ignore", "background", "off"}));
+      ->check(CLI::IsMember(nrff::MaskMeanings()));
   app.add_option("--frames", options.frames, "Frames of each video (default: as its picture moves)")
       ->group(nrff::kParameterGroup)
-      ->check(CLI::Range(3, 2000));
+      ->check(CLI::Range(nrff::kLeastFramesAsked, nrff::kMostFramesAsked));
   app.add_option("--threads", options.n_threads, "Photos decoded at once")
       ->check(CLI::Range(1, nrff::kMostThreads))
       ->capture_default_str();

@@ -7,6 +7,7 @@
 
 #include "pipeline/log.h"
 #include "sfm/bundle_refinement.h"
+#include "sfm/sensor_frame.h"
 #include "sfm/working_photos.h"
 
 namespace nrff {
@@ -46,11 +47,9 @@ std::map<int, ColmapCamera> FisheyeGuesses(const Capture& capture, const Attempt
                                     : found_deg >= kWide_deg;
     if (!wide || guesses.contains(photo.camera)) continue;
     const double focal_px = info.focal_px.value_or(half_px / (kFieldGuessed_deg / 2 * M_PI / 180));
-    guesses[photo.camera] = {0,
-                             CameraModel::kOpenCVFisheye,
-                             info.width,
-                             info.height,
-                             {focal_px, focal_px, info.width / 2.0, info.height / 2.0, 0, 0, 0, 0}};
+    const auto [width, height] = SensorSize(info);
+    guesses[photo.camera] = {
+        0, CameraModel::kOpenCVFisheye, width, height, {focal_px, focal_px, width / 2.0, height / 2.0, 0, 0, 0, 0}};
   }
   return guesses;
 }

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <utility>
 
 #include "sfm/bundle_refinement.h"
 #include "sfm/distortion.h"
@@ -85,6 +86,19 @@ std::map<uint32_t, size_t> ImagesOfCameras(const ColmapModel& model) {
   return n_images;
 }
 
+ColmapModel RefinedWithSharedCameras(const ColmapModel& model, int n_threads) {
+  return RefineBundle(model, {.n_threads = n_threads, .principal_points = false}).model;
+}
+
+ColmapModel RefinedWithOwnFocalLengths(ColmapModel model, int n_threads) {
+  const std::map<uint32_t, ColmapCamera> shared = std::exchange(model.cameras, {});
+  for (auto& [id, image] : model.images) {
+    ColmapCamera& own = model.cameras[id] = shared.at(image.camera_id);
+    own.id = image.camera_id = id;
+  }
+  return RefineBundle(model, {.n_threads = n_threads, .principal_points = false, .distortion = false}).model;
+}
+
 // k1 to k4 of θ (1 + k1 θ² + …) for the radius that the lens gives rays at θ, by least squares up to its corners.
 std::array<double, 4> FisheyeCoefficients(const ColmapCamera& camera) {
   const double* k = camera.params.data() + lens_model::FirstDistortion(camera.model);
@@ -140,6 +154,19 @@ ColmapModel WithLenses(ColmapModel model, CameraModel camera_model) {
     if (n_images >= kFewestForLens) camera = WithCameraModel(camera, camera_model);
   }
   return model;
+}
+
+std::optional<FocalLengthTrial> TryOwnFocalLengths(const ColmapModel& model, int n_threads) {
+  std::vector<HeldOut> held_out;
+  const ColmapModel fitted = WithoutHeldOut(model, held_out);
+  if (held_out.size() < kFewestHeldOut || ImagesOfCameras(model).size() == model.images.size()) return {};
+  const ColmapModel shared = RefinedWithSharedCameras(fitted, n_threads);
+  const ColmapModel own = RefinedWithOwnFocalLengths(shared, n_threads);
+  return FocalLengthTrial{HeldOutError_px(shared, held_out), HeldOutError_px(own, held_out)};
+}
+
+ColmapModel WithOwnFocalLengths(const ColmapModel& model, int n_threads) {
+  return RefinedWithOwnFocalLengths(RefinedWithSharedCameras(model, n_threads), n_threads);
 }
 
 LensChoice ChooseLens(const ColmapModel& model, int n_threads) {

@@ -7,8 +7,8 @@
 #include <vector>
 
 #include "pipeline/error.h"
-#include "sfm/distortion.h"
 #include "pipeline/statistics.h"
+#include "sfm/distortion.h"
 #include "sfm/trajectory_errors.h"
 
 namespace nrff {

@@ -82,12 +82,17 @@ int main(int argc, char** argv) {
   estimate
       ->add_option("--camera-model", camera_model,
                    "COLMAP's model of all lenses; auto: SIMPLE_RADIAL, or a richer one\nwhere the photos need it")
-      ->check(CLI::IsMember({"auto", "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV",
-                             "OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE"}))
+      ->check(CLI::IsMember(nrff::CameraModelChoices()))
       ->capture_default_str()
       ->group(nrff::kParameterGroup);
   nrff::AddForcedOption(*estimate, "--refinement", estimation.refine, "on", "off",
-                        "refine poses, lenses, points together at the end");
+                        "Refine poses, lenses, points together at the end");
+  nrff::AddForcedOption(*estimate, "--own-focal-lengths", estimation.own_focal_lengths, "on", "off",
+                        "A focal length for each photo instead of shared ones");
+  nrff::AddForcedOption(*estimate, "--gps-pairs", estimation.gps_pairs, "on", "off",
+                        "Match photos taken near each other by GPS, too");
+  nrff::AddForcedOption(*estimate, "--second-attempt", estimation.second_attempt, "on", "off",
+                        "Try again with larger photos and more features");
 
   CLI::App* normalise = app.add_subcommand("normalise",
                                            "Normalises the poses, undistorts and packs the photos.\nExample: nrff-pose "

@@ -15,6 +15,7 @@
 #include "sfm/first_look.h"
 #include "sfm/gps.h"
 #include "sfm/lens_model.h"
+#include "sfm/sensor_frame.h"
 #include "sfm/source.h"
 #include "sfm/working_photos.h"
 
@@ -221,7 +222,8 @@ class Reconstruction {
   // Of the photo's camera at the working size; empty where nothing is known.
   std::string CameraParams(const CaptureImage& photo) const {
     const ImageInfo& info = photo.info;
-    const auto [width, height] = WorkingSize(info.width, info.height, settings_.max_image_size);
+    const auto [sensor_width, sensor_height] = SensorSize(info);
+    const auto [width, height] = WorkingSize(sensor_width, sensor_height, settings_.max_image_size);
     std::vector<double> params;
     if (const auto known = settings_.lenses.find(photo.camera); known != settings_.lenses.end()) {
       params = ScaledCamera(known->second, width, height).params;

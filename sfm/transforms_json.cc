@@ -14,9 +14,9 @@
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "pipeline/json.h"
+#include "pipeline/statistics.h"
 #include "sfm/image_io.h"
 #include "sfm/normalise.h"
-#include "pipeline/statistics.h"
 
 namespace nrff {
 namespace {

@@ -8,6 +8,7 @@
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "sfm/photo_work.h"
+#include "sfm/sensor_frame.h"
 #include "sfm/undistort.h"
 
 namespace nrff {
@@ -91,6 +92,7 @@ void WriteWorkingPhotos(const Capture& capture, int max_size, int n_threads, con
     if (fs::exists(file)) return;
     const Lens lens = PlainLens(photo.info.width, photo.info.height);
     Image image = ResampledPhoto(capture, photo, lens, ScaledTarget(lens, max_size));
+    image = AsSensorHadIt(std::move(image), photo.info.orientation);
     if (image.channels == 4) WritePng(MaskOf(image), masks / (WorkingPhotoName(photo) + ".png"));
     DropAlpha(image, capture.masks, capture.background);
     WritePng(image, file);

@@ -1,4 +1,5 @@
-// The small copies of the photos that COLMAP works on: oriented, scaled, one folder for each camera group.
+// The small copies of the photos that COLMAP works on: as their sensor had them (sensor_frame.h), scaled, one folder
+// for each camera group.
 #pragma once
 
 #include <filesystem>

@@ -298,16 +298,17 @@ TEST_F(DriverTest, PlanTellsWhatTrainingWillDoWhatIsForcedAndWhatIsStillOpen) {
   EXPECT_EQ(plan.exit_code, 0) << plan.err;
   EXPECT_THAT(plan.out, HasSubstr("training: preset small, 8000 steps, on cpu, photos of at most 400 px"));
   EXPECT_THAT(plan.out, HasSubstr("left out: sparse_depth — nothing measured yet; forced by an option"));
-  EXPECT_THAT(
-      plan.out,
-      HasSubstr("measured then: exhaustive_matching, undistortion, contraction, fine_levels, exposure_correction, "
-                "camera_correction\n"));
+  EXPECT_THAT(plan.out,
+              HasSubstr("measured then: exhaustive_matching, gps_pairs, second_attempt, refinement, own_focal_lengths, "
+                        "undistortion, contraction, fine_levels, exposure_correction, camera_correction\n"));
   const ProgramResult posed = Nrff({"plan", Path("fox")}, {{"FAKE_POSED", "1"}});
   EXPECT_THAT(posed.out,
               HasSubstr("measured then: undistortion, contraction, sparse_depth, fine_levels, exposure_correction, "
                         "camera_correction\n"));
   const ProgramResult early = Nrff({"plan", Path("fox"), "--until", "sfm"});
-  EXPECT_THAT(early.out, HasSubstr("measured then: exhaustive_matching\n"));
+  EXPECT_THAT(
+      early.out,
+      HasSubstr("measured then: exhaustive_matching, gps_pairs, second_attempt, refinement, own_focal_lengths\n"));
   EXPECT_THAT(early.out, Not(HasSubstr("training:")));
 }
 

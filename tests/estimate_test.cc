@@ -10,6 +10,7 @@
 #include <functional>
 #include <numeric>
 
+#include "pipeline/error.h"
 #include "pipeline/extension.h"
 #include "pipeline/process.h"
 #include "sfm/base_mapping.h"
@@ -206,6 +207,60 @@ TEST_F(Estimate, TheModelIsRefinedWhereThatIsAskedFor) {
   EXPECT_LT(refined.facts.at("reprojection_error_px").get<double>(), 1e-3 * before);
 }
 
+TEST_F(Estimate, PhotosOfAZoomLensGetFocalLengthsOfTheirOwn) {
+  ColmapModel model = Ring({1, CameraModel::kSimpleRadial, 64, 48, {55, 32, 24, -0.05}}, 8, 1500);
+  const ColmapCamera shared = model.cameras.at(1);
+  for (auto& [id, image] : model.images) {
+    image.camera_id = 10 + id;
+    model.cameras[10 + id] = shared;
+    model.cameras[10 + id].params[0] *= 0.95 + 0.1 * double(3 * id % 8) / 7;
+  }
+  Observe(model);
+  AddNoise(model, 0.03, 5);
+  for (auto& [id, image] : model.images) {
+    image.camera_id = 1;
+    image.name = WorkingPhotoName(capture_.images[id - 1]);
+  }
+  model.cameras = {{1, shared}};
+  AddModel(0, model, "models");
+  EXPECT_TRUE(Decided(Run(), "own_focal_lengths"));
+  const ColmapModel own = ReadColmapModel(sfm_ / "sparse");
+  ASSERT_EQ(own.cameras.size(), 8u);
+  for (const auto& [id, image] : own.images)
+    EXPECT_NEAR(own.cameras.at(image.camera_id).params[0], 55 * (0.95 + 0.1 * double(3 * id % 8) / 7), 0.3);
+  EXPECT_EQ(ReadColmapModel(sfm_ / "mapping/model").cameras.size(), 1u);  // what another estimate goes on from
+  EstimateOptions options;
+  options.own_focal_lengths = false;
+  EXPECT_FALSE(Decided(Run(options), "own_focal_lengths"));
+  EXPECT_EQ(ReadColmapModel(sfm_ / "sparse").cameras.size(), 1u);
+}
+
+TEST_F(Estimate, TurnedPhotosShareTheirCamerasLens) {
+  for (const size_t i : {1u, 4u, 6u}) {
+    ImageInfo& info = capture_.images[i].info;
+    info.orientation = i == 4 ? 8 : 6;
+    std::swap(info.width, info.height);
+  }
+  SaveCapture(capture_, ingest_);
+  ColmapModel model = Ring({1, CameraModel::kSimpleRadial, 32, 24, {28, 16, 11, -0.05}}, 8, 200);
+  for (auto& [id, image] : model.images) image.name = WorkingPhotoName(capture_.images[id - 1]);
+  AddModel(0, model, "models");
+  Run();
+  const ColmapModel found = ReadColmapModel(sfm_ / "sparse");
+  ASSERT_EQ(found.cameras.size(), 3u);
+  for (const auto& [id, image] : found.images) {
+    const ImageInfo& info = capture_.images[size_t(std::stoi(image.name))].info;
+    const ColmapCamera& camera = found.cameras.at(image.camera_id);
+    EXPECT_EQ(std::pair(camera.width, camera.height), std::pair(info.width, info.height));
+    for (const ColmapObservation& seen : image.observations) {
+      const Eigen::Vector3d in_camera =
+          image.rotation * found.points.at(uint64_t(seen.point_id)).position + image.translation;
+      const auto px = Lens(camera).ImageFromCamera(in_camera.hnormalized());
+      EXPECT_LT((*px - Eigen::Vector2d(seen.x, seen.y)).norm(), 1e-6) << image.name;
+    }
+  }
+}
+
 TEST_F(Estimate, TheLargestOfSeveralModelsIsTaken) {
   AddModel(0, {0, 1, 2});
   AddModel(1, {0, 1, 3, 4, 5, 6, 7});
@@ -371,10 +426,16 @@ TEST_F(EstimateOfPieces, PhotosTakenNearEachOtherArePairedToo) {
   MakeDatabase(100);
   const Manifest alike = Run(options_);
   EXPECT_FALSE(Decided(alike, "gps_pairs"));
+  options_.gps_pairs = true;
+  EXPECT_THROW(Run(options_), Error);
+  options_.gps_pairs.reset();
   for (int i = 0; i < 24; ++i) capture_.images[size_t(i)].info.gps = {{50, 0.001 * (i * 7 % 24), {}}};
   SaveCapture(capture_, ingest_);
   const Manifest near = Run(options_);
   EXPECT_TRUE(Decided(near, "gps_pairs"));
+  options_.gps_pairs = false;
+  EXPECT_EQ(Run(options_).facts.at("attempts")[0].at("n_pairs"), alike.facts.at("attempts")[0].at("n_pairs"));
+  options_.gps_pairs.reset();
   EXPECT_GT(near.facts.at("attempts")[0].at("n_pairs"), alike.facts.at("attempts")[0].at("n_pairs"));
   for (CaptureImage& photo : capture_.images) photo.info.gps->longitude_deg /= 1000;  // a few metres: errors
   SaveCapture(capture_, ingest_);
@@ -557,6 +618,9 @@ TEST_F(Estimate, OfTwoCapturesInAFolderTheLargerGoesOn) {
   const Manifest linked = Run();
   EXPECT_EQ(linked.facts.at("attempts").size(), 2u);
   EXPECT_TRUE(Decided(linked, "second_attempt"));
+  EstimateOptions once;
+  once.second_attempt = false;
+  EXPECT_EQ(Run(once).facts.at("attempts").size(), 1u);
   EXPECT_THAT(linked.facts.at("groups_advice").get<std::string>(), HasSubstr("15 pairs of 15 pairs tried may hold"));
 }
 

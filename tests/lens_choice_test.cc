@@ -45,6 +45,42 @@ TEST(LensChoice, RicherModelsAreTakenWhereTheyPredictWhatTheyWereNotFittedTo) {
   EXPECT_EQ(fisheye.chosen, CameraModel::kOpenCVFisheye);
 }
 
+// A ring of a zoom lens at so many focal lengths, mapped with one.
+ColmapModel Zoomed(double range) {
+  ColmapModel model = Ring(Camera(CameraModel::kSimpleRadial, {400, 320, 240, -0.08}), 12, 300);
+  const ColmapCamera camera = model.cameras.at(1);
+  for (auto& [id, image] : model.images) {
+    image.camera_id = 100 + id;
+    model.cameras[100 + id] = camera;
+    model.cameras[100 + id].id = 100 + id;
+    model.cameras[100 + id].params[0] *= 1 + range * (double(5 * id % 12) / 11 - 0.5);
+  }
+  Observe(model);
+  AddNoise(model, 0.5, 5);
+  for (auto& [id, image] : model.images) image.camera_id = 1;
+  model.cameras = {{1, camera}};
+  return model;
+}
+
+TEST(LensChoice, FocalLengthsAreEachPhotosOwnWhereThatPredictsMore) {
+  const auto decided = [](const ColmapModel& model) {
+    const auto trial = TryOwnFocalLengths(model, 1);
+    return needs::OwnFocalLengths(trial->shared_px, trial->own_px).needed;
+  };
+  const ColmapModel zoomed = Zoomed(0.1);
+  EXPECT_TRUE(decided(zoomed));
+  EXPECT_FALSE(decided(Zoomed(0)));
+  const ColmapModel own = WithOwnFocalLengths(zoomed, 1);
+  ASSERT_EQ(own.cameras.size(), 12u);
+  for (const auto& [id, camera] : own.cameras) {
+    EXPECT_EQ(own.images.at(id).camera_id, id);
+    EXPECT_NEAR(camera.params[0], 400 * (1 + 0.1 * (double(5 * id % 12) / 11 - 0.5)), 1.5);
+    EXPECT_EQ(camera.params[1], 320);
+    EXPECT_EQ(camera.params[3], own.cameras.begin()->second.params[3]);
+  }
+  EXPECT_FALSE(TryOwnFocalLengths(own, 1));
+}
+
 TEST(LensChoice, OfTooFewPhotosOrPointsNothingIsSaid) {
   const ColmapCamera camera = Camera(CameraModel::kRadial, {400, 321, 239, -0.25, 0.12});
   EXPECT_TRUE(ChooseLens(MappedWithSimpleLens(camera, -0.1, 4), 1).trials.empty());
