@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """What each facility for real captures is worth: the same training without and with it, on captures that need it.
 
-    tests/bench/facilities.py DATA OUT [--only NAME…] [--seeds N…] [--steps N] [--work DIR]
+    tests/bench/facilities.py DATA OUT [--only CAPTURE|FACILITY|FACILITY/CAPTURE…] [--seeds N…] [--steps N] [--work DIR]
 
 DATA holds photos/, scenes/ and colmap_models/ as tests/bench/captures.sh wants them; "none" leaves real captures out.
 Writes OUT.json and OUT.md, after each capture; of captures that are not run, what OUT.json has is kept. Poses are
@@ -126,6 +126,15 @@ RANDOM = random.Random()
 CAMERAS = [("without", [], ["--camera-correction", "off"]), ("with", [], ["--camera-correction", "on"])]
 EXPOSURE = [("without", [], ["--exposure-correction", "off"]), ("with", [], ["--exposure-correction", "on"])]
 MASKS = [("without", ["--masks", "off"], []), ("with", ["--masks", "ignore"], [])]
+FLOATERS = [(f"sparsity loss {weight}", [], ["--set", f"train.sparsity_weight={weight}"])
+            for weight in ("0", "1e-5", "1e-3")]
+CUP = "colmap_models/cup_simple_pinhole"
+
+
+def decision(feature):
+    return [("without", ["--leave-out", feature], []), ("with", ["--need", feature], [])]
+
+
 # name, facility, capture, and for each variant: its options of the run up to poses, and of training, and its capture
 # where that is another
 VIDEO = [("every 4th frame", [], [], every_fourth), ("chosen", [], []), ("chosen, 50", ["--frames", "50"], [])]
@@ -134,7 +143,7 @@ CASES = [
     ("ET", "exposure", real("photos/ET"), EXPOSURE),
     ("castle", "exposure", real("photos/sceaux_castle"), EXPOSURE),
     ("fox", "exposure", real("scenes/fox/images"), EXPOSURE),
-    ("cup", "exposure", real("colmap_models/cup_simple_pinhole"), EXPOSURE),
+    ("cup", "exposure", real(CUP), EXPOSURE),
     ("maryrose", "exposure", real("photos/maryrose"), EXPOSURE),
     ("drifting", "exposure", make(["--views", "32", "--exposure-drift", "2"]), EXPOSURE),
     ("steady", "exposure", make(["--views", "32"]), EXPOSURE),
@@ -144,6 +153,13 @@ CASES = [
     ("made, wrong poses", "cameras", made_with_wrong_poses, CAMERAS),
     ("fox, given poses", "cameras", real("scenes/fox"), CAMERAS),
     ("fox, COLMAP's poses", "cameras", real("scenes/fox/images"), CAMERAS),
+    ("cup", "a focal length for each photo", real(CUP + "/images"),
+     [*decision("own_focal_lengths"), ("given poses", [], [], real(CUP))]),
+    ("fox", "refinement of poses, lenses and points", real("scenes/fox/images"), decision("refinement")),
+    ("fox", "contraction", real("scenes/fox/images"), decision("contraction")),
+    ("castle", "contraction", real("photos/sceaux_castle"), decision("contraction")),
+    ("fox", "floaters", real("scenes/fox/images"), FLOATERS),
+    ("castle", "floaters", real("photos/sceaux_castle"), FLOATERS),
     ("passers-by", "masks", make(["--views", "32", "--passers-by"]), MASKS),
 ]
 
@@ -181,7 +197,7 @@ def measure(case, args, work):
             row["seconds_sfm"] = read(workspace / "sfm" / "manifest.json")["seconds"]
         row["pose_error"] = pose_error(workspace, folder.parent / "truth")
         for seed in args.seeds:
-            out = work / name / f"{variant}-{seed}"
+            out = work / name / facility / f"{variant}-{seed}"
             subprocess.run([BIN / "nrff-train", "--scene", workspace / "pose", "--out", out / "train", "--steps",
                             str(args.steps), "--seed", str(seed), "--quiet", *training], check=True)
             subprocess.run([BIN / "nrff-render", "--scene", workspace / "pose", "--model", out / "train", "--out",
@@ -251,17 +267,17 @@ def main():
     args = parser.parse_args()
     machine = "{cpu}, {cores} cores".format(**captures_table.machine())
     found = read(args.out.with_suffix(".json"))["results"] if args.out.with_suffix(".json").exists() else []
-    by_name = {result["name"]: result for result in found}
+    by_case = {(result["name"], result["facility"]): result for result in found}
     for case in CASES:
-        if args.only and case[0] not in args.only:
+        if args.only and not {case[0], case[1], f"{case[1]}/{case[0]}"} & set(args.only):
             continue
         result = measure(case, args, args.work.resolve())
         if result is None:
             continue
         result |= {"date": str(datetime.date.today()), "machine": machine, "steps": args.steps, "seeds": args.seeds,
                    "max_image_size": args.max_image_size}
-        by_name[case[0]] = result
-        results = [by_name[name] for name, *_ in CASES if name in by_name]
+        by_case[case[:2]] = result
+        results = [by_case[other[:2]] for other in CASES if other[:2] in by_case]
         args.out.with_suffix(".json").write_text(json.dumps({"results": results}, indent=1) + "\n")
         args.out.with_suffix(".md").write_text(markdown(results))
 
