@@ -126,10 +126,10 @@ Decision OwnFocalLengths(double shared_px, double own_px) {
           needed ? "the lens was zoomed or focused anew" : "one focal length describes the photos as well"};
 }
 
-Decision Refinement(bool richer_lenses) {
-  return {"refinement", richer_lenses, richer_lenses ? "lenses are richer than those mapped with" : "lenses are simple",
-          "lenses richer than SIMPLE_RADIAL",
-          richer_lenses ? "poses and points follow their lenses" : "COLMAP's last adjustment has them as they are"};
+Decision Refinement(size_t n_images, size_t most) {
+  const bool needed = n_images <= most;
+  return {"refinement", needed, std::to_string(n_images) + " photos placed", std::to_string(most) + " at the most",
+          needed ? "COLMAP's last adjustment ends before its minimum" : "its result could not be checked"};
 }
 
 Decision Fisheye(int n_placed, size_t n_observations, int n_placed_as_fisheye, size_t n_observations_as_fisheye) {

@@ -176,7 +176,7 @@ ceres::Solver::Summary Solve(Bundle& bundle, double loss_scale_px, const BundleO
   // What the last steps still gain is below a thousandth of a standard deviation. Without noise each step gains most of
   // what is left, down to the cost's last digits; from there on none gains any, and the trust region's radius ends it.
   // The length of all parameters, which Ceres would hold a step against, is that of the farthest point.
-  solver.function_tolerance = 1e-6 / double(bundle.observations.size());
+  solver.function_tolerance = options.least_gain / double(bundle.observations.size());
   solver.parameter_tolerance = 0;
   solver.gradient_tolerance = 0;
   solver.max_trust_region_radius = 1e12;          // its damping keeps the last directions above the sums' rounding

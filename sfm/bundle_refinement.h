@@ -28,8 +28,9 @@ namespace nrff {
 struct BundleOptions {
   double loss_scale_px = 2;  // residuals beyond count less and less: about four times those of well-placed points
   int max_iterations = 200;
-  int n_threads = 1;                                // one: the same bits every time
+  double least_gain = 1e-6;  // a step that lowers the cost by less is the last; in the mean cost of an observation
   bool principal_points = true, distortion = true;  // false: held as given
+  int n_threads = 1;                                // one: the same bits every time
 };
 
 // Where an image's pose may lie, one standard deviation of the observations taken from their own residuals. Relative to

@@ -340,12 +340,12 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
                      " photos could be placed together: " + groups + ". " +
                      AdviseOnPieces(capture, pieces, artifact.dir() / kPieceLists));
   }
-  Decision refinement = needs::Refinement(!attempts[best].settings.lenses.empty());
+  Decision refinement = needs::Refinement(largest->images.size(), kMostImagesForCovariance);
   Force(refinement, options.refine);
   artifact.AddDecision(refinement);
-  const bool refine = refinement.needed && largest->images.size() <= kMostImagesForCovariance;
-  const ColmapModel found = refine ? RefineBundle(*largest, {.n_threads = options.n_threads}).model : *largest;
-  artifact.facts()["refined"] = refine;
+  const BundleOptions refine{.principal_points = !attempts[best].settings.lenses.empty(),
+                             .n_threads = options.n_threads};
+  const ColmapModel found = refinement.needed ? RefineBundle(*largest, refine).model : *largest;
   const ColmapModel mapped = base ? InBasesWorld(*base, capture, attempts[best], found, artifact) : found;
   const ColmapModel working = WithFocalLengths(mapped, options, artifact);
   double reprojection_error_px = 0;

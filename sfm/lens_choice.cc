@@ -17,6 +17,7 @@ constexpr CameraModel kCandidates[] = {CameraModel::kRadial, CameraModel::kOpenC
 constexpr size_t kLongTrack = 4;        // three observations are left to place the point by
 constexpr size_t kPointsPerImage = 60;  // of trials: more change no verdict and take longer
 constexpr size_t kFewestPointsTried = 3000;
+constexpr double kLeastGain = 0.1;  // of trials: more steps change no held-out error by a thousandth
 
 // One of 0 … n − 1 for the number `i`, evenly.
 size_t Pick(uint64_t i, size_t n) {
@@ -86,17 +87,19 @@ std::map<uint32_t, size_t> ImagesOfCameras(const ColmapModel& model) {
   return n_images;
 }
 
-ColmapModel RefinedWithSharedCameras(const ColmapModel& model, int n_threads) {
-  return RefineBundle(model, {.n_threads = n_threads, .principal_points = false}).model;
+// As they are, and with a camera for each image of which the focal length alone is its own.
+ColmapModel RefinedWithSharedCameras(const ColmapModel& model, BundleOptions options) {
+  options.principal_points = false;
+  return RefineBundle(model, options).model;
 }
-
-ColmapModel RefinedWithOwnFocalLengths(ColmapModel model, int n_threads) {
+ColmapModel RefinedWithOwnFocalLengths(ColmapModel model, BundleOptions options) {
   const std::map<uint32_t, ColmapCamera> shared = std::exchange(model.cameras, {});
   for (auto& [id, image] : model.images) {
     ColmapCamera& own = model.cameras[id] = shared.at(image.camera_id);
     own.id = image.camera_id = id;
   }
-  return RefineBundle(model, {.n_threads = n_threads, .principal_points = false, .distortion = false}).model;
+  options.principal_points = options.distortion = false;
+  return RefineBundle(model, options).model;
 }
 
 // k1 to k4 of θ (1 + k1 θ² + …) for the radius that the lens gives rays at θ, by least squares up to its corners.
@@ -160,13 +163,15 @@ std::optional<FocalLengthTrial> TryOwnFocalLengths(const ColmapModel& model, int
   std::vector<HeldOut> held_out;
   const ColmapModel fitted = WithoutHeldOut(model, held_out);
   if (held_out.size() < kFewestHeldOut || ImagesOfCameras(model).size() == model.images.size()) return {};
-  const ColmapModel shared = RefinedWithSharedCameras(fitted, n_threads);
-  const ColmapModel own = RefinedWithOwnFocalLengths(shared, n_threads);
+  const BundleOptions options{.least_gain = kLeastGain, .n_threads = n_threads};
+  const ColmapModel shared = RefinedWithSharedCameras(fitted, options);
+  const ColmapModel own = RefinedWithOwnFocalLengths(shared, options);
   return FocalLengthTrial{HeldOutError_px(shared, held_out), HeldOutError_px(own, held_out)};
 }
 
 ColmapModel WithOwnFocalLengths(const ColmapModel& model, int n_threads) {
-  return RefinedWithOwnFocalLengths(RefinedWithSharedCameras(model, n_threads), n_threads);
+  const BundleOptions options{.n_threads = n_threads};
+  return RefinedWithOwnFocalLengths(RefinedWithSharedCameras(model, options), options);
 }
 
 LensChoice ChooseLens(const ColmapModel& model, int n_threads) {
@@ -177,8 +182,7 @@ LensChoice ChooseLens(const ColmapModel& model, int n_threads) {
   if (held_out.size() < kFewestHeldOut ||
       std::none_of(n_images.begin(), n_images.end(), [](const auto& n) { return n.second >= kFewestForLens; }))
     return choice;
-  BundleOptions options;
-  options.n_threads = n_threads;
+  const BundleOptions options{.least_gain = kLeastGain, .n_threads = n_threads};
   const auto attempt = [&](CameraModel camera_model) {
     const RefinedBundle refined = RefineBundle(WithLenses(fitted, camera_model), options);
     choice.trials.push_back({camera_model, HeldOutError_px(refined.model, held_out)});

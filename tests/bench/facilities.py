@@ -128,6 +128,7 @@ EXPOSURE = [("without", [], ["--exposure-correction", "off"]), ("with", [], ["--
 MASKS = [("without", ["--masks", "off"], []), ("with", ["--masks", "ignore"], [])]
 FLOATERS = [(f"sparsity loss {weight}", [], ["--set", f"train.sparsity_weight={weight}"])
             for weight in ("0", "1e-5", "1e-3")]
+FLOATERS.append(("1e-5, cells that few views see kept", [], ["--set", "train.occupancy_min_views=0"]))
 CUP = "colmap_models/cup_simple_pinhole"
 
 
