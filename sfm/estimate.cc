@@ -219,7 +219,7 @@ struct Outcome {
   std::vector<Attempt> attempts;
   size_t best = 0;
   Pieces pieces;      // of the best attempt
-  LensChoice lenses;  // of the first that there is enough to judge by
+  LensChoice lenses;  // of the last that there was enough to judge by; none of fisheyes
 };
 
 // Goes on from the base, then from fast settings to thorough ones until enough photos are placed.
@@ -272,11 +272,15 @@ Outcome MakeAttempts(const Capture& capture, const EstimateOptions& options, boo
         take(std::move(attempt));
         if (NumRegistered(attempts.back()) == NumRegistered(attempts[best])) best = attempts.size() - 1;
       };
-      if (auto fisheye = AsFisheye(capture, attempts.back(), colmap, dir, artifact)) {
+      const ColmapModel* largest = LargestModel(attempts.back().models);
+      LensChoice choice = largest ? ChooseLens(*largest, options.n_threads) : LensChoice();
+      const bool simple_fits = !choice.trials.empty() && choice.chosen == CameraModel::kSimpleRadial;
+      if (auto fisheye = AsFisheye(capture, attempts.back(), simple_fits, colmap, dir, artifact)) {
         take_lenses(std::move(*fisheye));
-      } else if (const ColmapModel* largest = LargestModel(attempts.back().models); largest && lenses.trials.empty()) {
-        lenses = ChooseLens(*largest, options.n_threads);
-        if (lenses.chosen != CameraModel::kSimpleRadial) {
+        lenses = {};
+      } else if (!choice.trials.empty()) {
+        lenses = std::move(choice);
+        if (!simple_fits) {
           LogInfo("lenses of the model " + std::string(CameraModelName(lenses.chosen)) + ": " +
                   lenses.decision->evidence);
           take_lenses(WithRicherLenses(capture, attempts.back(), lenses, colmap, dir, artifact));

@@ -30,8 +30,8 @@ std::map<int, ColmapCamera> LensesByGroup(const Capture& capture, const ColmapMo
 
 // Of photos that say so little of their lens that it may be a fisheye, by group: what one of that focal length would
 // be, without one a fisheye of 160° between corners. None where no group may be of one: by EXIF it is not wide, or,
-// without, the model found is not.
-std::map<int, ColmapCamera> FisheyeGuesses(const Capture& capture, const Attempt& attempt) {
+// without, the model found is not, or its simple lens fits.
+std::map<int, ColmapCamera> FisheyeGuesses(const Capture& capture, const Attempt& attempt, bool simple_fits) {
   constexpr double kFieldByExif_deg = 90;  // of a pinhole of that focal length: 21.6 mm
   constexpr double kFieldGuessed_deg = 160;
   double found_deg = 180;
@@ -44,7 +44,7 @@ std::map<int, ColmapCamera> FisheyeGuesses(const Capture& capture, const Attempt
     const ImageInfo& info = photo.info;
     const double half_px = std::hypot(info.width, info.height) / 2;
     const bool wide = info.focal_px ? 2 * std::atan(half_px / *info.focal_px) * 180 / M_PI >= kFieldByExif_deg
-                                    : found_deg >= kWide_deg;
+                                    : found_deg >= kWide_deg && !simple_fits;
     if (!wide || guesses.contains(photo.camera)) continue;
     const double focal_px = info.focal_px.value_or(half_px / (kFieldGuessed_deg / 2 * M_PI / 180));
     const auto [width, height] = SensorSize(info);
@@ -64,11 +64,11 @@ size_t NumObservations(const Attempt& attempt) {
 
 }  // namespace
 
-std::optional<Attempt> AsFisheye(const Capture& capture, Attempt attempt, Colmap& colmap, const fs::path& dir,
-                                 ArtifactWriter& artifact) {
+std::optional<Attempt> AsFisheye(const Capture& capture, Attempt attempt, bool simple_fits, Colmap& colmap,
+                                 const fs::path& dir, ArtifactWriter& artifact) {
   const int n_placed = int(NumRegistered(attempt));
   const size_t n_observations = NumObservations(attempt);
-  attempt.settings.lenses = FisheyeGuesses(capture, attempt);
+  attempt.settings.lenses = FisheyeGuesses(capture, attempt, simple_fits);
   if (attempt.settings.lenses.empty()) return {};
   attempt.settings.name += ", as fisheyes";
   Attempt fisheye = ReconstructWithLenses(capture, attempt, "fisheye", colmap, dir, artifact);

@@ -15,9 +15,9 @@ namespace nrff {
 // `dir` is the attempt's folder, `artifact` keeps the seconds and is given needs::Fisheye. Both throw what Colmap
 // throws.
 
-// The attempt mapped as a fisheye's photos, where they may be that (wide by EXIF or, without, in the model found) and
-// show themselves to be it; else nothing.
-std::optional<Attempt> AsFisheye(const Capture& capture, Attempt attempt, Colmap& colmap,
+// The attempt mapped as a fisheye's photos, where they may be that (wide by EXIF or, without, in the model found, whose
+// simple lens does not fit: lens_choice.h) and show themselves to be it; else nothing.
+std::optional<Attempt> AsFisheye(const Capture& capture, Attempt attempt, bool simple_fits, Colmap& colmap,
                                  const std::filesystem::path& dir, ArtifactWriter& artifact);
 
 // The attempt with its largest model refined with the lenses chosen, and, where they are wide, made again with these:
