@@ -57,6 +57,7 @@ CASES = [
     ("two cameras, turned", made("--second-camera", "--turned"), [AUTO]),
     ("zoom, 3 settings", made("--zoom", "3"), [AUTO]),
     ("zoom, 20 settings", made("--zoom", "20"), [AUTO]),
+    ("zoom, no EXIF", made("--zoom", "20", "--no-focal"), [("shared", ["--own-focal-lengths", "off"]), AUTO]),
     ("EXIF jitters", made("--focal-jitter"), [AUTO]),
     ("kermit + ET", mixed(kermit=("photos/kermit", 11), ET=("photos/ET", 9)), [AUTO]),
     ("kermit + ET + castle", mixed(kermit=("photos/kermit", 11), ET=("photos/ET", 9),
