@@ -69,6 +69,7 @@ int Pieces::NumPlaced() const {
 
 Pieces FindPieces(const Capture& capture, const ColmapDatabase& database, const std::vector<ColmapModel>& models) {
   std::vector<const ColmapModel*> by_size;
+  by_size.reserve(models.size());
   for (const ColmapModel& model : models) by_size.push_back(&model);
   std::stable_sort(by_size.begin(), by_size.end(), [](const auto* a, const auto* b) {
     return std::pair(a->images.size(), a->points.size()) > std::pair(b->images.size(), b->points.size());
