@@ -20,9 +20,10 @@ Eigen::Matrix3d RotationOf(const Vec3& turn) {
 Mat4 Motion(const PoseCorrection& pose) {
   const Eigen::Matrix3d rotation = RotationOf(pose.turn);
   Mat4 motion{};
-  for (int row = 0; row < 3; ++row) {
-    for (int column = 0; column < 3; ++column) motion[size_t(4 * row + column)] = rotation(row, column);
-    motion[size_t(4 * row + 3)] = pose.shift[size_t(row)];
+  for (size_t row = 0; row < 3; ++row) {
+    for (size_t column = 0; column < 3; ++column)
+      motion[4 * row + column] = rotation(Eigen::Index(row), Eigen::Index(column));
+    motion[4 * row + 3] = pose.shift[row];
   }
   motion[15] = 1;
   return motion;

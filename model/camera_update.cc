@@ -168,6 +168,7 @@ double ResidualDeviation(const std::vector<std::vector<Sighting>>& sightings) {
 // NaN where there are none.
 double MedianDepth(const std::vector<Sighting>& of_view) {
   std::vector<double> depths;
+  depths.reserve(of_view.size());
   for (const Sighting& sighting : of_view) depths.push_back(sighting.depth);
   return Median(std::move(depths));
 }
