@@ -62,9 +62,10 @@ Decision SecondAttempt(int n_images, int n_registered, int n_groups, int n_in_gr
 Decision RicherLens(const std::string& model, double error_px, const std::string& richer, double richer_error_px);
 
 // A focal length for each photo takes the place of shared ones only where it predicts observations held out of the fit
-// better by 3 %. Of cup_simple_pinhole, whose given focal lengths differ by a tenth, it is 4.5 % (poses off by 1.12 →
-// 0.49° and 19 → 12 ‰ from the given ones); of maryrose 2.1 % and fox 0.7 %, whose cameras come off by 6 and 2 times as
-// far with it (tests/bench/results/matching.md).
+// better by 3 %. Of cup_simple_pinhole, whose given focal lengths differ by a tenth, it was 3.9 to 4.5 % in several runs
+// (one model's poses were off by 1.12 → 0.49° and 19 → 12 ‰ from the given ones; held-out PSNR did not change,
+// tests/bench/results/facilities.md); of maryrose 2.0 to 2.7 % and fox −0.02 to 0.7 %, whose cameras came off by 6 and
+// 1.4 times as far with it.
 Decision OwnFocalLengths(double shared_px, double own_px);
 
 // Poses, lenses and points are refined together at the end (sfm/bundle_refinement.h, by a robust loss until it
