@@ -221,6 +221,9 @@ std::vector<BranchRequest> MakeBranches(const BranchOptions& options) {
       const bool named = one && !options.workspace.empty();
       request.workspace = named ? Workspace(folder) : WorkspaceFor(request.capture, folder, workspaces);
     }
+    // What happens without: a model remembered is none any more.
+    if (request.options.contains("camera-model") && request.options.at("camera-model") == "auto")
+      request.options.erase("camera-model");
     if (!captures.insert(request.capture).second) throw UsageError(EscapePath(request.capture) + " is given twice");
     workspaces.insert(request.workspace.root());
     request.name = BranchName(request.workspace, branches);

@@ -80,7 +80,8 @@ Decision ExhaustiveMatching(int n_images, bool ordered) {
                     : "photos alike at a first look overlap"};
 }
 
-Decision GpsPairs(std::optional<double> spread_m) {
+Decision GpsPairs(bool all_pairs, std::optional<double> spread_m) {
+  if (all_pairs) return {"gps_pairs", false, "all pairs are matched", "20 m", "theirs are among them"};
   const bool needed = spread_m && *spread_m >= 20;
   return {"gps_pairs", needed,
           spread_m ? Format("photos taken %.1f m from their mean position", *spread_m)
@@ -116,14 +117,23 @@ Decision RicherLens(const std::string& model, double error_px, const std::string
           needed ? richer + " describes the lens better" : model + " describes the lens as well as " + richer};
 }
 
-Decision OwnFocalLengths(double shared_px, double own_px) {
+namespace {
+constexpr char kOwnFocalLengths[] = "own_focal_lengths", kFocalLengthGain[] = "3 % and 0.01 px less";
+}
+
+Decision OwnFocalLengths(const FocalLengthErrors& errors) {
   constexpr double kVisible_px = 0.01;  // no feature is placed better
-  const bool needed = own_px <= 0.97 * shared_px && shared_px - own_px >= kVisible_px;
-  return {"own_focal_lengths", needed,
-          Format("observations held out are %.4f px off with shared focal lengths", shared_px) +
-              Format(", %.4f with a photo's own", own_px),
-          "3 % and 0.01 px less",
+  const bool needed = errors.own_px <= 0.97 * errors.shared_px && errors.shared_px - errors.own_px >= kVisible_px;
+  return {kOwnFocalLengths, needed,
+          Format("observations held out are %.4f px off with shared focal lengths", errors.shared_px) +
+              Format(", %.4f with a photo's own", errors.own_px),
+          kFocalLengthGain,
           needed ? "the lens was zoomed or focused anew" : "one focal length describes the photos as well"};
+}
+
+Decision OwnFocalLengthsUntried(const std::string& why, bool as_before) {
+  return {kOwnFocalLengths, as_before, why, kFocalLengthGain,
+          as_before ? "the earlier photos were given their own" : "nothing says that focal lengths differ"};
 }
 
 Decision Refinement(size_t n_images, size_t most) {

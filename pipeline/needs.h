@@ -44,9 +44,9 @@ Decision Contraction(bool box_given, bool has_alpha, std::optional<double> backg
 // photos: ten alike hold 97 % and more of each photo's five best partners (tests/bench/results/first_look.md).
 Decision ExhaustiveMatching(int n_images, bool ordered);
 
-// Pairs of photos taken near each other are matched, too, where all of them say where they were taken, and the places
-// lie further apart (root mean square from their mean) than satellites' errors of some 5 m can make it seem.
-Decision GpsPairs(std::optional<double> spread_m);
+// Pairs of photos taken near each other are matched, too, where not all are, all photos say where they were taken, and
+// the places lie further apart (root mean square from their mean) than satellites' errors of some 5 m can make it seem.
+Decision GpsPairs(bool all_pairs, std::optional<double> spread_m);
 
 // A second attempt at poses, with larger photos and more features, is made where less than 80 % of the photos could be
 // placed; but not where they fell into groups that together take in so many and no pair of photos holds two of these
@@ -62,11 +62,16 @@ Decision SecondAttempt(int n_images, int n_registered, int n_groups, int n_in_gr
 Decision RicherLens(const std::string& model, double error_px, const std::string& richer, double richer_error_px);
 
 // A focal length for each photo takes the place of shared ones only where it predicts observations held out of the fit
-// better by 3 %. Of cup_simple_pinhole, whose given focal lengths differ by a tenth, it was 3.9 to 4.5 % in several runs
-// (one model's poses were off by 1.12 → 0.49° and 19 → 12 ‰ from the given ones; held-out PSNR did not change,
+// better by 3 %. Of cup_simple_pinhole, whose given focal lengths differ by a tenth, it was 3.9 to 4.5 % in several
+// runs (one model's poses were off by 1.12 → 0.49° and 19 → 12 ‰ from the given ones; held-out PSNR did not change,
 // tests/bench/results/facilities.md); of maryrose 2.0 to 2.7 % and fox −0.02 to 0.7 %, whose cameras came off by 6 and
 // 1.4 times as far with it.
-Decision OwnFocalLengths(double shared_px, double own_px);
+struct FocalLengthErrors {
+  double shared_px = 0, own_px = 0;  // mean distances of held-out observations
+};
+Decision OwnFocalLengths(const FocalLengthErrors& errors);
+// Where nothing was held out to tell by, because of `why`: not needed, or, where photos were added, `as_before`.
+Decision OwnFocalLengthsUntried(const std::string& why, bool as_before = false);
 
 // Poses, lenses and points are refined together at the end (sfm/bundle_refinement.h, by a robust loss until it
 // converges) unless there are so many photos that it is not checked how well they fix the result. Maryrose's cameras

@@ -176,11 +176,21 @@ Node MakeNode(const Stage& stage, const BranchRequest& request, const Machine& m
   return node;
 }
 
+// Of a capture that brings its poses.
+void WarnOfIdleOptions(const BranchRequest& request) {
+  std::string idle;
+  for (const auto& [option, value] : Given(Table()[size_t(OrderOf("sfm"))].params, request)) {
+    if (option == "seed") continue;  // of other stages, too
+    const auto forceable =
+        std::find_if(Forceables().begin(), Forceables().end(), [&](const Forceable& f) { return f.option == option; });
+    idle.append(idle.empty() ? "" : ", ").append(forceable == Forceables().end() ? "--" + option : forceable->feature);
+  }
+  if (!idle.empty()) LogWarning(request.name + " brings its poses: none are estimated, whatever was said of " + idle);
+}
+
 std::vector<Node> NodesAfterIngest(const BranchRequest& request, const Machine& machine, bool posed,
                                    bool extends = false) {
-  if (posed && request.options.contains("matching")) {
-    LogWarning(request.name + " brings its poses: no photos are matched, whatever was said of exhaustive_matching");
-  }
+  if (posed) WarnOfIdleOptions(request);
   std::vector<Node> nodes;
   for (const Stage& stage : Table()) {
     if (stage.name == "ingest" || (posed && stage.name == "sfm") || OrderOf(stage.name) > Last(request)) continue;

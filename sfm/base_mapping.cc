@@ -13,21 +13,23 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr char kDatabaseFile[] = "database.db", kModelFolder[] = "model", kSettingsFile[] = "settings.json";
+constexpr char kDatabaseFile[] = "database.db", kModelFolder[] = "model", kExportedFolder[] = "exported",
+               kSettingsFile[] = "settings.json";
 
-MergedModel Compare(const BaseMapping& base, const Capture& capture, const ColmapModel& now,
+// `before`: of the base's models the one that `now` is like.
+MergedModel Compare(const BaseMapping& base, const ColmapModel& before, const Capture& capture, const ColmapModel& now,
                     const std::optional<WorldShift>& shift) {
   MergedModel merged;
   merged.n_earlier = base.photos.size();
   merged.n_added = capture.images.size() - merged.n_earlier;
-  merged.n_earlier_placed = base.model.images.size();
+  merged.n_earlier_placed = before.images.size();
   std::set<std::string> placed;
   for (const auto& [id, image] : now.images) {
     placed.insert(image.name);
     merged.n_added_placed += base.photos.contains(image.name) ? 0 : 1;
   }
-  for (const auto& [id, image] : base.model.images) merged.n_lost += placed.contains(image.name) ? 0 : 1;
-  merged.error_before_px = MeanError(base.model);
+  for (const auto& [id, image] : before.images) merged.n_lost += placed.contains(image.name) ? 0 : 1;
+  merged.error_before_px = MeanError(before);
   merged.error_px = MeanError(now);
   if (shift) merged.shift_px = shift->median_px;
   return merged;
@@ -35,10 +37,16 @@ MergedModel Compare(const BaseMapping& base, const Capture& capture, const Colma
 
 }  // namespace
 
-void KeepMapping(const Attempt& attempt, const ColmapModel& working, const Json& asked, const fs::path& dir) {
+void KeepMapping(const Attempt& attempt, const ColmapModel& shared, const ColmapModel* own_focal, const Json& asked,
+                 const fs::path& dir) {
   fs::create_directories(dir / kModelFolder);
   fs::copy_file(attempt.database_file, dir / kDatabaseFile, fs::copy_options::overwrite_existing);
-  WriteColmapBinary(working, dir / kModelFolder);
+  WriteColmapBinary(shared, dir / kModelFolder);
+  fs::remove_all(dir / kExportedFolder);  // of an interrupted run
+  if (own_focal != nullptr) {
+    fs::create_directories(dir / kExportedFolder);
+    WriteColmapBinary(*own_focal, dir / kExportedFolder);
+  }
   Json settings = ToJson(attempt.settings);
   settings["asked"] = asked;
   settings["photos"] = Json::array();
@@ -51,7 +59,8 @@ std::optional<BaseMapping> ReadBaseMapping(const fs::path& base_dir, const Json&
   const std::string where = EscapePath(settings);
   const Json json = ReadJson(settings);
   if (json.value("asked", Json()) != asked) {
-    LogWarning("poses are estimated anew: the earlier ones were estimated with other options");
+    LogWarning(
+        "poses are estimated anew: the earlier ones were estimated with other options, or by an earlier version");
     return {};
   }
   BaseMapping base;
@@ -59,14 +68,18 @@ std::optional<BaseMapping> ReadBaseMapping(const fs::path& base_dir, const Json&
   base.photos = Get<std::set<std::string>>(json, "photos", where);
   base.mapping = {dir / kDatabaseFile, dir / kModelFolder, base.photos, {}};
   base.model = ReadColmapModel(base.mapping.model);
+  base.own_focal_lengths = fs::exists(dir / kExportedFolder);
+  base.exported = base.own_focal_lengths ? ReadColmapModel(dir / kExportedFolder) : base.model;
   return base;
 }
+
+bool MappedAnew(const Attempt& attempt) { return BestModel(attempt) != (attempt.grown ? &*attempt.grown : nullptr); }
 
 Attempt Extend(const BaseMapping& base, SfmSettings settings, const Capture& capture, Colmap& colmap,
                const fs::path& work, const ArtifactWriter& artifact) {
   EarlierMapping mapping = base.mapping;
   const auto holds = [&](const ColmapModel& grown) {
-    return needs::SameWorld(Compare(base, capture, grown, MeasureShift(base.model, grown)));
+    return needs::SameWorld(Compare(base, base.model, capture, grown, MeasureShift(base.model, grown)));
   };
   mapping.holds = holds;
   const std::string name = settings.name;
@@ -81,9 +94,9 @@ Attempt Extend(const BaseMapping& base, SfmSettings settings, const Capture& cap
 
 ColmapModel InBasesWorld(const BaseMapping& base, const Capture& capture, const Attempt& attempt, ColmapModel model,
                          ArtifactWriter& artifact) {
-  const std::optional<WorldShift> shift = MeasureShift(base.model, model);
-  const MergedModel merged = Compare(base, capture, model, shift);
-  const bool mapped_anew = BestModel(attempt) != (attempt.grown ? &*attempt.grown : nullptr);
+  const std::optional<WorldShift> shift = MeasureShift(base.exported, model);
+  const MergedModel merged = Compare(base, base.exported, capture, model, shift);
+  const bool mapped_anew = MappedAnew(attempt);
   const bool frame_kept = needs::SameWorld(merged);
   artifact.AddDecision(needs::PosesAnew(merged, mapped_anew));
   const Json extension = {

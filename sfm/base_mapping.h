@@ -15,16 +15,21 @@
 
 namespace nrff {
 
-inline constexpr char kMappingDir[] = "mapping";  // of an estimate's artifact: database.db, model/*.bin, settings.json
+// Of an estimate's artifact: database.db, settings.json, model/*.bin, which COLMAP can go on from, and, where photos
+// were given focal lengths of their own, exported/*.bin, the model with these, in whose world the poses are.
+inline constexpr char kMappingDir[] = "mapping";
 
-// `working`: of the working photos; `asked`: the options that decide which features and lenses there are.
-void KeepMapping(const Attempt& attempt, const ColmapModel& working, const Json& asked,
+// Models of the working photos; `own_focal` may be null. `asked`: the options that decide which features and lenses
+// there are.
+void KeepMapping(const Attempt& attempt, const ColmapModel& shared, const ColmapModel* own_focal, const Json& asked,
                  const std::filesystem::path& dir);
 
 struct BaseMapping {
   SfmSettings settings;
   EarlierMapping mapping;
-  ColmapModel model;
+  ColmapModel model;     // as COLMAP can go on from it
+  ColmapModel exported;  // the one in whose world the base's poses are
+  bool own_focal_lengths = false;
   std::set<std::string> photos;  // working names
 };
 
@@ -32,13 +37,16 @@ struct BaseMapping {
 // file that cannot be used.
 std::optional<BaseMapping> ReadBaseMapping(const std::filesystem::path& base_dir, const Json& asked);
 
+// Whether what the extending attempt came to is a model mapped from scratch.
+bool MappedAnew(const Attempt& attempt);
+
 // The base's model grown by the added photos, and, where that does not hold, what is mapped anew. Throws what Colmap
 // throws.
 Attempt Extend(const BaseMapping& base, SfmSettings settings, const Capture& capture, Colmap& colmap,
                const std::filesystem::path& work, const ArtifactWriter& artifact);
 
-// The model in the base's world where the two can be laid over each other. Writes extension.json (estimate.h), its fact
-// and the decision.
+// `model`, as it is to be exported, in the base's world where the two can be laid over each other. Writes
+// extension.json (estimate.h), its fact and the decision.
 ColmapModel InBasesWorld(const BaseMapping& base, const Capture& capture, const Attempt& attempt, ColmapModel model,
                          ArtifactWriter& artifact);
 

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <map>
 #include <optional>
 #include <set>
 #include <string>
@@ -16,14 +15,13 @@
 #include "sfm/capture.h"
 #include "sfm/colmap_model.h"
 #include "sfm/colmap_runner.h"
+#include "sfm/full_size.h"
 #include "sfm/gps.h"
 #include "sfm/lens_attempts.h"
+#include "sfm/merged_model.h"
 #include "sfm/pieces.h"
 #include "sfm/reconstruct.h"
-#include "sfm/sensor_frame.h"
 #include "sfm/sfm_diagnosis.h"
-#include "sfm/source.h"
-#include "sfm/working_photos.h"
 
 namespace nrff {
 namespace {
@@ -83,53 +81,8 @@ Json AttemptFacts(const Attempt& attempt) {
           {"seconds", attempt.seconds_features + attempt.seconds_matching + attempt.seconds_mapping}};
 }
 
-// The model as the rest of the pipeline wants it: images named by id, cameras of the photos' own size, turned as they
-// are displayed.
-ColmapModel AtFullSize(const ColmapModel& working, const Capture& capture, double& reprojection_error_px) {
-  std::map<std::string, const CaptureImage*> by_id;
-  for (const CaptureImage& photo : capture.images) by_id[photo.id] = &photo;
-  ColmapModel model = working;
-  std::map<uint32_t, double> scale_by_image;                    // photo px per working px
-  std::map<std::pair<uint32_t, int>, uint32_t> turned_cameras;  // by camera and quarter turns
-  for (auto& [id, image] : model.images) {
-    image.name = IdOfWorkingPhoto(image.name);
-    const auto photo = by_id.find(image.name);
-    if (photo == by_id.end())
-      throw CorruptError("COLMAP's model holds an image " + image.name +
-                         " that is not of this capture; remove the partial artifact and run again");
-    const ColmapCamera& camera = working.cameras.at(image.camera_id);
-    const auto [width, height] = SensorSize(photo->second->info);
-    const int turns = QuarterTurns(photo->second->info.orientation);
-    if (turns > 0) {
-      const uint32_t next_id = model.cameras.rbegin()->first + 1;
-      image.camera_id = turned_cameras.emplace(std::pair(camera.id, turns), next_id).first->second;
-    }
-    ColmapCamera full_size = TurnedCamera(ScaledCamera(camera, width, height), turns);
-    full_size.id = image.camera_id;
-    model.cameras[image.camera_id] = std::move(full_size);
-    const double scale_x = double(width) / camera.width, scale_y = double(height) / camera.height;
-    scale_by_image[id] = (scale_x + scale_y) / 2;
-    for (ColmapObservation& observation : image.observations) {
-      observation.x *= scale_x;
-      observation.y *= scale_y;
-    }
-    TurnImage(image, width, height, turns);
-  }
-  std::erase_if(model.cameras, [&](const auto& camera) {
-    return std::none_of(model.images.begin(), model.images.end(),
-                        [&](const auto& image) { return image.second.camera_id == camera.first; });
-  });
-  double sum = 0;
-  for (auto& [id, point] : model.points) {
-    if (!point.track.empty()) point.error_px *= scale_by_image.at(point.track.front().first);
-    sum += point.error_px;
-  }
-  reprojection_error_px = model.points.empty() ? 0 : sum / double(model.points.size());
-  return model;
-}
-
 void RecordFacts(const std::vector<Attempt>& attempts, const Attempt& best, const Capture& capture,
-                 const ColmapModel& model, double reprojection_error_px, Json& facts) {
+                 const ColmapModel& model, Json& facts) {
   std::vector<std::string> unregistered;
   size_t n_registered_train = 0;
   for (const CaptureImage& photo : capture.images) {
@@ -144,7 +97,7 @@ void RecordFacts(const std::vector<Attempt>& attempts, const Attempt& best, cons
   facts["n_registered_test"] = model.images.size() - n_registered_train;
   facts["unregistered"] = unregistered;
   facts["n_points"] = model.points.size();
-  facts["reprojection_error_px"] = reprojection_error_px;
+  facts["reprojection_error_px"] = MeanError(model);
   double widest_deg = 0;
   std::set<std::string> camera_models;
   for (const auto& [id, camera] : model.cameras) {
@@ -186,13 +139,14 @@ Json Asked(const EstimateOptions& options) {
           {"camera_model", options.camera_model ? Json(CameraModelName(*options.camera_model)) : Json()}};
 }
 
-// How well the photos fix the model, for people and the report; no payload, as it holds times.
-void Certify(const ColmapModel& model, int n_threads, ArtifactWriter& artifact) {
+// How well the photos fix the model, solved for with `options`, for people and the report; no payload, as it holds
+// times.
+void Certify(const ColmapModel& model, const BundleOptions& options, ArtifactWriter& artifact) {
   if (model.images.size() > kMostImagesForCovariance) {
     LogInfo("how well the photos fix the poses is not measured beyond " + std::to_string(kMostImagesForCovariance));
     return;
   }
-  const BundleCertificate certificate = RefineBundle(model, {.n_threads = n_threads}).certificate;
+  const BundleCertificate certificate = RefineBundle(model, options).certificate;
   const Json json = CertificateJson(certificate, model);
   WriteJson(artifact.dir() / kRefinementName, json);
   if (certificate.degeneracy) LogWarning(*certificate.degeneracy);
@@ -203,16 +157,54 @@ void Certify(const ColmapModel& model, int n_threads, ArtifactWriter& artifact) 
                                      {"median_error_px", json.at("reprojection_error_px").at("before").at("median")}};
 }
 
-// With a focal length for each image where photos need it.
-ColmapModel WithFocalLengths(const ColmapModel& mapped, const EstimateOptions& options, ArtifactWriter& artifact) {
-  const std::optional<FocalLengthTrial> trial = TryOwnFocalLengths(mapped, options.n_threads);
-  if (!trial) return mapped;
-  Decision own = needs::OwnFocalLengths(trial->shared_px, trial->own_px);
+struct Refined {
+  ColmapModel shared;                    // as COLMAP can go on from it
+  std::optional<ColmapModel> own_focal;  // with a focal length for each image, where photos need it
+  BundleOptions options;                 // what the model was solved with, or would have been
+
+  const ColmapModel& model() const { return own_focal ? *own_focal : shared; }
+};
+
+// `as_before`: what an earlier model, that `found` has grown from, was given.
+Decision DecideOwnFocalLengths(const ColmapModel& found, bool refined, std::optional<bool> as_before,
+                               const EstimateOptions& options) {
+  if (options.own_focal_lengths) return needs::OwnFocalLengthsUntried("not tried");
+  if (as_before) return needs::OwnFocalLengthsUntried("photos were added to others", *as_before);
+  if (!refined) return needs::OwnFocalLengthsUntried("refinement is left out");
+  if (const auto errors = TryOwnFocalLengths(found, options.n_threads)) return needs::OwnFocalLengths(*errors);
+  return needs::OwnFocalLengthsUntried("too few observations to hold some out, or no camera that photos share");
+}
+
+Refined Refine(const ColmapModel& found, std::optional<bool> own_before, const EstimateOptions& options,
+               ArtifactWriter& artifact) {
+  Decision refinement = needs::Refinement(found.images.size(), kMostImagesForCovariance);
+  Force(refinement, options.refine);
+  artifact.AddDecision(refinement);
+  const bool richer = std::any_of(found.cameras.begin(), found.cameras.end(), [](const auto& camera) {
+    const CameraModel model = camera.second.model;
+    return model != CameraModel::kSimplePinhole && model != CameraModel::kPinhole &&
+           model != CameraModel::kSimpleRadial;
+  });
+  Refined refined;
+  refined.options = {.principal_points = richer, .n_threads = options.n_threads};
+  refined.shared = refinement.needed ? RefineBundle(found, refined.options).model : found;
+
+  Decision own = DecideOwnFocalLengths(refined.shared, refinement.needed, own_before, options);
   Force(own, options.own_focal_lengths);
+  if (own.needed) {
+    LogInfo("a focal length for each photo: " + own.evidence + "; " + own.reason);
+    RefinedBundle with_own = WithOwnFocalLengths(refined.shared, options.n_threads);
+    if (with_own.certificate.accepted) {
+      refined.own_focal = std::move(with_own.model);
+      refined.options = OwnFocalLengthsAlone(options.n_threads);
+    } else {
+      own.needed = false;
+      own.reason = "the photos do not fix them: " + with_own.certificate.reason;
+      LogWarning("focal lengths stay shared; " + own.reason);
+    }
+  }
   artifact.AddDecision(own);
-  if (!own.needed) return mapped;
-  LogInfo("a focal length for each photo: " + own.evidence);
-  return WithOwnFocalLengths(mapped, options.n_threads);
+  return refined;
 }
 
 struct Outcome {
@@ -253,6 +245,8 @@ Outcome MakeAttempts(const Capture& capture, const EstimateOptions& options, boo
   }
   const bool extended = base && double(NumRegistered(attempts.back())) >= needs::kEnoughPlaced * n_images;
   if (base && !extended) LogWarning("too few: estimating all poses anew");
+  if (extended && options.second_attempt == true)
+    LogWarning("no second attempt: photos were added to earlier ones, whose settings stay; --force makes all anew");
   for (const int level : {given ? 0 : first_level, first_level + 1}) {
     if (extended) break;
     SfmSettings settings = Settings(level);
@@ -294,7 +288,8 @@ Outcome MakeAttempts(const Capture& capture, const EstimateOptions& options, boo
     Force(again, options.second_attempt);
     artifact.AddDecision(again);
     if (!again.needed) break;
-    LogWarning("too few: trying again with larger photos and more features");
+    LogWarning(std::string(options.second_attempt ? "" : "too few: ") +
+               "trying again with larger photos and more features");
   }
   return outcome;
 }
@@ -307,25 +302,28 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
   Colmap colmap(artifact.dir() / "colmap.log", options.stall_limit_seconds);
   artifact.facts()["colmap_version"] = colmap.version();
 
+  if (options.second_attempt == true && (options.max_image_size || options.max_features)) {
+    throw UsageError(
+        "a second attempt chooses photo sizes and features by itself: leave either --second-attempt on out, or "
+        "--sfm-image-size and --sfm-features");
+  }
   Decision matching = needs::ExhaustiveMatching(n_images, capture.ordered);
   Force(matching, options.exhaustive);
   artifact.AddDecision(matching);
-  bool gps_pairs = false;
+  const std::vector<GpsPosition> positions = GpsPositions(capture);
+  Decision gps = needs::GpsPairs(matching.needed,
+                                 positions.empty() ? std::nullopt : std::optional(Spread_m(LocalPositions(positions))));
   if (!matching.needed) {
-    const std::vector<GpsPosition> positions = GpsPositions(capture);
-    Decision gps =
-        needs::GpsPairs(positions.empty() ? std::nullopt : std::optional(Spread_m(LocalPositions(positions))));
     if (options.gps_pairs == true && positions.empty())
       throw InputError(
           "pairs by GPS were asked for, but not every photo says where it was taken; leave --gps-pairs on out");
     Force(gps, options.gps_pairs);
-    gps_pairs = gps.needed;
-    artifact.AddDecision(gps);
   }
+  artifact.AddDecision(gps);
 
   const std::optional<BaseMapping> base =
       options.base.empty() ? std::nullopt : ReadBaseMapping(options.base, Asked(options));
-  const Outcome outcome = MakeAttempts(capture, options, matching.needed, gps_pairs, base, colmap, artifact);
+  const Outcome outcome = MakeAttempts(capture, options, matching.needed, gps.needed, base, colmap, artifact);
   const auto& [attempts, best, pieces, lenses] = outcome;
   if (lenses.decision) artifact.AddDecision(*lenses.decision);
   fs::remove_all(artifact.dir() / kPieceLists);
@@ -344,27 +342,25 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
                      " photos could be placed together: " + groups + ". " +
                      AdviseOnPieces(capture, pieces, artifact.dir() / kPieceLists));
   }
-  Decision refinement = needs::Refinement(largest->images.size(), kMostImagesForCovariance);
-  Force(refinement, options.refine);
-  artifact.AddDecision(refinement);
-  const BundleOptions refine{.principal_points = !attempts[best].settings.lenses.empty(),
-                             .n_threads = options.n_threads};
-  const ColmapModel found = refinement.needed ? RefineBundle(*largest, refine).model : *largest;
-  const ColmapModel mapped = base ? InBasesWorld(*base, capture, attempts[best], found, artifact) : found;
-  const ColmapModel working = WithFocalLengths(mapped, options, artifact);
-  double reprojection_error_px = 0;
-  const ColmapModel model = AtFullSize(working, capture, reprojection_error_px);
+  const bool grown = base && !MappedAnew(attempts[best]);
+  const Refined refined =
+      Refine(*largest, grown ? std::optional(base->own_focal_lengths) : std::nullopt, options, artifact);
+  const ColmapModel working =
+      base ? InBasesWorld(*base, capture, attempts[best], refined.model(), artifact) : refined.model();
+  const ColmapModel full_size = AtFullSize(working, capture);
+  const ColmapModel model = AsDisplayed(full_size, capture);
   fs::create_directories(artifact.dir() / kGivenModelDir);
   WriteColmapBinary(model, artifact.dir() / kGivenModelDir);
-  RecordFacts(attempts, attempts[best], capture, model, reprojection_error_px, artifact.facts());
+  RecordFacts(attempts, attempts[best], capture, model, artifact.facts());
   artifact.facts()["lens_trials"] = LensTrials(lenses);
   if (!groups.empty()) {
     artifact.facts()["groups"] = PiecesJson(capture, pieces);
     artifact.facts()["groups_advice"] = advice;
     LogWarning(groups + ". Going on with the largest. " + advice);
   }
-  Certify(model, options.n_threads, artifact);
-  KeepMapping(attempts[best], mapped, Asked(options), artifact.dir() / kMappingDir);
+  Certify(full_size, refined.options, artifact);
+  KeepMapping(attempts[best], refined.own_focal ? refined.shared : working, refined.own_focal ? &working : nullptr,
+              Asked(options), artifact.dir() / kMappingDir);
   fs::remove_all(artifact.dir() / kWorkDir);
   artifact.AddOutput(kGivenModelDir);
 }

@@ -18,6 +18,7 @@
 #include "sfm/added_photos.h"
 #include "sfm/capture.h"
 #include "sfm/image_measures.h"
+#include "sfm/ingest_facts.h"
 #include "sfm/masks.h"
 #include "sfm/photo_work.h"
 #include "sfm/recognise.h"
@@ -340,70 +341,6 @@ Json TakeFrames(int n_wanted, ArtifactWriter& artifact, Source& source) {
   return videos;
 }
 
-double MedianBlur(const std::vector<CaptureImage>& images) {
-  std::vector<double> blur;
-  blur.reserve(images.size());
-  for (const CaptureImage& image : images) blur.push_back(image.blur);
-  std::nth_element(blur.begin(), blur.begin() + static_cast<std::ptrdiff_t>(blur.size() / 2), blur.end());
-  return blur[blur.size() / 2];
-}
-
-int CountTest(const std::vector<Split>& splits) {
-  return static_cast<int>(std::count(splits.begin(), splits.end(), Split::kTest));
-}
-
-Json Facts(const Capture& capture, int n_cameras) {
-  std::vector<Split> splits;
-  int width = 0, height = 0, n_masks = 0;
-  bool has_alpha = false;
-  for (const CaptureImage& image : capture.images) {
-    n_masks += image.mask.empty() ? 0 : 1;
-    splits.push_back(image.split);
-    width = std::max(width, image.info.width);
-    height = std::max(height, image.info.height);
-    has_alpha |= image.info.channels == 4;
-  }
-  Json rejected = Json::array();
-  for (const RejectedFile& file : capture.rejected) rejected.push_back({{"name", file.name}, {"reason", file.reason}});
-  const int n_test = CountTest(splits), n_images = static_cast<int>(capture.images.size());
-  return {{"kind", capture.kind},
-          {"name", capture.name},
-          {"n_images", n_images},
-          {"n_rejected", capture.rejected.size()},
-          {"n_train", n_images - n_test},
-          {"n_test", n_test},
-          {"split_rule", capture.split_rule},
-          {"posed", capture.posed},
-          {"has_alpha", has_alpha},
-          {"n_masks", n_masks},
-          {"masks", has_alpha ? Json(MasksName(capture.masks)) : Json()},
-          {"ordered", capture.ordered},
-          {"n_cameras", n_cameras},
-          {"width", width},
-          {"height", height},
-          {"rejected", std::move(rejected)},
-          {"duplicates", capture.duplicates},
-          {"blur_median", MedianBlur(capture.images)},
-          {"background", BackgroundName(capture.background)}};
-}
-
-void LogOutcome(const Capture& capture, const Json& facts) {
-  LogInfo(capture.name + ": " + facts["n_images"].dump() + " photos, " + facts["n_train"].dump() + " to train, " +
-          facts["n_test"].dump() + " held out (" + capture.split_rule + ")");
-  if (const int n_masks = facts["n_masks"]; n_masks > 0) {
-    LogInfo(std::to_string(n_masks) + " photos have masks, which leave out " +
-            (capture.masks == Masks::kIgnore ? "pixels that do not count" : "the background"));
-  }
-  for (const RejectedFile& file : capture.rejected) LogDetail("left out: " + file.name + " " + file.reason);
-  if (!capture.rejected.empty()) {
-    LogWarning(std::to_string(capture.rejected.size()) + " files are left out, the first: " +
-               capture.rejected.front().name + " " + capture.rejected.front().reason);
-  }
-  for (const std::vector<std::string>& group : capture.duplicates) {
-    LogDetail(std::to_string(group.size()) + " photos look alike, from " + group.front() + " to " + group.back());
-  }
-}
-
 // By the files as they are: photos that turned out to be of no use before are none of those added.
 AddedPhotos ProbeAdded(const Source& source, const Capture& earlier) {
   std::set<std::string> rejected;
@@ -445,7 +382,8 @@ Json ProbeCapture(const fs::path& capture, const fs::path& base) {
   }
   std::vector<Split> splits;
   const std::string rule = FreezeHoldOut(given, splits);
-  const int n_test = CountTest(splits), n_images = static_cast<int>(splits.size());
+  const int n_test = static_cast<int>(std::count(splits.begin(), splits.end(), Split::kTest));
+  const int n_images = static_cast<int>(splits.size());
   Json facts = {{"kind", source.kind},          {"name", source.name},
                 {"n_images", n_images},         {"posed", source.model.has_value()},
                 {"split_rule", rule},           {"has_alpha", has_alpha},
@@ -486,7 +424,7 @@ void Ingest(const fs::path& capture_path, const IngestOptions& options, Artifact
     WriteColmapBinary(GivenModel(*source.model, capture), artifact.dir() / kGivenModelDir);
     artifact.AddOutput(kGivenModelDir);
   }
-  artifact.facts() = Facts(capture, n_cameras);
+  artifact.facts() = IngestFacts(capture, n_cameras);
   int n_frames = 0, n_kept = 0;
   for (const Json& video : videos) {
     n_frames += int(video["verdict"].size());
@@ -509,7 +447,7 @@ void Ingest(const fs::path& capture_path, const IngestOptions& options, Artifact
   if (options.masks && artifact.facts()["has_alpha"] == false) {
     LogWarning("--masks does nothing here: there are no masks and no alpha channels");
   }
-  LogOutcome(capture, artifact.facts());
+  LogIngestFacts(capture, artifact.facts());
 }
 
 }  // namespace nrff

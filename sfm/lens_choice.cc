@@ -6,7 +6,6 @@
 #include <map>
 #include <utility>
 
-#include "sfm/bundle_refinement.h"
 #include "sfm/distortion.h"
 #include "sfm/lens_model.h"
 
@@ -87,19 +86,18 @@ std::map<uint32_t, size_t> ImagesOfCameras(const ColmapModel& model) {
   return n_images;
 }
 
-// As they are, and with a camera for each image of which the focal length alone is its own.
-ColmapModel RefinedWithSharedCameras(const ColmapModel& model, BundleOptions options) {
-  options.principal_points = false;
-  return RefineBundle(model, options).model;
+ColmapModel RefinedWithSharedCameras(const ColmapModel& model, double least_gain, int n_threads) {
+  return RefineBundle(model, {.least_gain = least_gain, .principal_points = false, .n_threads = n_threads}).model;
 }
-ColmapModel RefinedWithOwnFocalLengths(ColmapModel model, BundleOptions options) {
+
+// A camera for each image, of which the focal length alone is its own.
+RefinedBundle RefinedWithOwnFocalLengths(ColmapModel model, const BundleOptions& options) {
   const std::map<uint32_t, ColmapCamera> shared = std::exchange(model.cameras, {});
   for (auto& [id, image] : model.images) {
     ColmapCamera& own = model.cameras[id] = shared.at(image.camera_id);
     own.id = image.camera_id = id;
   }
-  options.principal_points = options.distortion = false;
-  return RefineBundle(model, options).model;
+  return RefineBundle(model, options);
 }
 
 // k1 to k4 of θ (1 + k1 θ² + …) for the radius that the lens gives rays at θ, by least squares up to its corners.
@@ -159,19 +157,23 @@ ColmapModel WithLenses(ColmapModel model, CameraModel camera_model) {
   return model;
 }
 
-std::optional<FocalLengthTrial> TryOwnFocalLengths(const ColmapModel& model, int n_threads) {
+std::optional<needs::FocalLengthErrors> TryOwnFocalLengths(const ColmapModel& model, int n_threads) {
   std::vector<HeldOut> held_out;
   const ColmapModel fitted = WithoutHeldOut(model, held_out);
   if (held_out.size() < kFewestHeldOut || ImagesOfCameras(model).size() == model.images.size()) return {};
-  const BundleOptions options{.least_gain = kLeastGain, .n_threads = n_threads};
-  const ColmapModel shared = RefinedWithSharedCameras(fitted, options);
-  const ColmapModel own = RefinedWithOwnFocalLengths(shared, options);
-  return FocalLengthTrial{HeldOutError_px(shared, held_out), HeldOutError_px(own, held_out)};
+  const ColmapModel shared = RefinedWithSharedCameras(fitted, kLeastGain, n_threads);
+  BundleOptions options = OwnFocalLengthsAlone(n_threads);
+  options.least_gain = kLeastGain;
+  const RefinedBundle own = RefinedWithOwnFocalLengths(shared, options);
+  return needs::FocalLengthErrors{HeldOutError_px(shared, held_out), HeldOutError_px(own.model, held_out)};
 }
 
-ColmapModel WithOwnFocalLengths(const ColmapModel& model, int n_threads) {
-  const BundleOptions options{.n_threads = n_threads};
-  return RefinedWithOwnFocalLengths(RefinedWithSharedCameras(model, options), options);
+RefinedBundle WithOwnFocalLengths(const ColmapModel& model, int n_threads) {
+  const BundleOptions options = OwnFocalLengthsAlone(n_threads);
+  RefinedBundle own =
+      RefinedWithOwnFocalLengths(RefinedWithSharedCameras(model, options.least_gain, n_threads), options);
+  if (!own.certificate.accepted) own.model = model;
+  return own;
 }
 
 LensChoice ChooseLens(const ColmapModel& model, int n_threads) {

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "pipeline/needs.h"
+#include "sfm/bundle_refinement.h"
 #include "sfm/colmap_model.h"
 
 namespace nrff {
@@ -44,16 +45,17 @@ ColmapCamera WithCameraModel(const ColmapCamera& camera, CameraModel model);
 ColmapModel WithLenses(ColmapModel model, CameraModel camera_model);
 
 // Photos share a camera where nothing says otherwise, but a lens that was zoomed, or breathed as it focused, does not.
-// Mean distances of held-out observations, as for LensTrial, with shared cameras and with a focal length for each
-// image; none where there is too little to judge by, or no camera is shared.
-struct FocalLengthTrial {
-  double shared_px = 0, own_px = 0;
-};
-std::optional<FocalLengthTrial> TryOwnFocalLengths(const ColmapModel& model, int n_threads);
+// As for LensTrial, with shared cameras and with a focal length for each image; none where there is too little to judge
+// by, or no camera is shared.
+std::optional<needs::FocalLengthErrors> TryOwnFocalLengths(const ColmapModel& model, int n_threads);
 
 // `model` refined so that every image has a camera of its own, by the image's id, whose focal length alone is its own:
-// principal points are as given, distortions as refined with shared cameras.
-ColmapModel WithOwnFocalLengths(const ColmapModel& model, int n_threads);
+// principal points are as given, distortions as refined with shared cameras. A refinement that was not accepted comes
+// with the model as it was, cameras shared.
+RefinedBundle WithOwnFocalLengths(const ColmapModel& model, int n_threads);
+inline BundleOptions OwnFocalLengthsAlone(int n_threads) {
+  return {.principal_points = false, .distortion = false, .n_threads = n_threads};
+}
 
 // The angle between the rays through opposite corners, degrees; 2·88.9° at the most (Lens::kLargestRadius).
 double FieldOfView_deg(const ColmapCamera& camera);

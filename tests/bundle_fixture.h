@@ -134,6 +134,26 @@ inline void AddNoise(ColmapModel& model, double sigma_px, unsigned seed) {
   }
 }
 
+// What the lens of image `id` of ZoomedRing is zoomed by: 1 − range/2 to 1 + range/2. `n`: no multiple of 5.
+inline double ZoomOf(uint32_t id, int n, double range) {
+  return 1 + range * (double(5 * id % uint32_t(n)) / (n - 1) - 0.5);
+}
+
+// A ring seen through a zoom lens, mapped as if it had not been zoomed.
+inline ColmapModel ZoomedRing(const ColmapCamera& camera, int n, int n_points, double range, double noise_px) {
+  ColmapModel model = Ring(camera, n, n_points);
+  for (auto& [id, image] : model.images) {
+    image.camera_id = 100 + id;
+    ColmapCamera& zoomed = model.cameras[image.camera_id] = camera;
+    zoomed.params[0] *= ZoomOf(id, n, range);
+  }
+  Observe(model);
+  AddNoise(model, noise_px, 5);
+  for (auto& [id, image] : model.images) image.camera_id = camera.id;
+  model.cameras = {{camera.id, camera}};
+  return model;
+}
+
 inline ColmapModel Moved(ColmapModel model, double scale, const Eigen::Quaterniond& rotation,
                          const Eigen::Vector3d& translation) {
   for (auto& [id, image] : model.images) {

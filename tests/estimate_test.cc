@@ -1,169 +1,21 @@
 // Poses from photos, with a COLMAP made of a shell script: every way it may behave, and one run of the real program.
 #include "sfm/estimate.h"
 
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
-#include <sqlite3.h>
-
-#include <algorithm>
 #include <cstdlib>
-#include <functional>
-#include <numeric>
 
-#include "pipeline/error.h"
-#include "pipeline/extension.h"
 #include "pipeline/process.h"
-#include "sfm/base_mapping.h"
+#include "sfm/bundle_refinement.h"
 #include "sfm/colmap_database.h"
-#include "sfm/image_pairs.h"
-#include "sfm/ingest.h"
-#include "sfm/merged_model.h"
-#include "sfm/pieces.h"
 #include "sfm/sfm_diagnosis.h"
-#include "sfm/working_photos.h"
 #include "tests/bundle_fixture.h"
-#include "tests/pose_fixture.h"
-#include "tests/temporary_directory.h"
+#include "tests/estimate_fixture.h"
 
 namespace nrff {
 namespace {
 
-namespace fs = std::filesystem;
 using ::testing::AllOf;
 using ::testing::HasSubstr;
 using ::testing::Not;
-
-// Answers as COLMAP 3.8, unless $FAKE/COMMAND is a script to run instead. Every call is written to $FAKE/calls. The
-// database and the models it "computes" are those that lie in $FAKE.
-constexpr char kFakeColmap[] = R"sh(#!/bin/sh
-command=$1; shift
-case "$1" in
-  --help) [ -e "$FAKE/help" ] && cat "$FAKE/help"; exit 0 ;;
-esac
-[ "$command" = help ] && { echo "COLMAP 3.8 -- Structure-from-Motion"; exit 0; }
-echo "$command $*" >> "$FAKE/calls"
-[ -e "$FAKE/$command" ] && exec sh "$FAKE/$command"
-while [ $# -gt 1 ]; do
-  case $1 in --database_path) database=$2 ;; --output_path) output=$2 ;; esac
-  shift 2
-done
-case $command in
-  feature_extractor) cp "$FAKE/database.db" "$database"; echo "Processed file [1/8]" ;;
-  mapper)
-    models="$FAKE/$(basename "$output")"  # models, joined, lenses
-    cp -r "$models"/. "$output"; echo "Registering image #1 (3)"
-    ;;
-esac
-)sh";
-
-constexpr char kHelp38[] =
-    "--database_path arg\n--image_path arg\n--input_path arg\n--output_path arg\n--image_list_path arg\n"
-    "--match_list_path arg\n--random_seed arg\n"
-    "--ImageReader.camera_model arg\n--ImageReader.camera_params arg\n"
-    "--SiftExtraction.use_gpu arg\n--SiftExtraction.peak_threshold arg\n--SiftMatching.use_gpu "
-    "arg\n--Mapper.min_model_size arg\n";
-constexpr char kHelp313[] =
-    "--database_path arg\n--image_path arg\n--output_path arg\n--image_list_path arg\n--match_list_path arg\n"
-    "--default_random_seed arg\n--FeatureExtraction.use_gpu arg\n--FeatureMatching.use_gpu "
-    "arg\n--Mapper.min_model_size arg\n";
-
-class Estimate : public ::testing::Test {
- protected:
-  void SetUp() override {
-    fs::create_directories(fake_ / "models");
-    Script("colmap", kFakeColmap);
-    fs::permissions(fake_ / "colmap", fs::perms::owner_all);
-    WriteFileAtomically(fake_ / "help", kHelp38);
-    setenv("FAKE", fake_.c_str(), 1);
-    setenv("NRFF_COLMAP", (fake_ / "colmap").c_str(), 1);
-    capture_ = MakeCapture(dir_.path() / "photos", 8, false);
-    fs::create_directories(ingest_);
-    SaveCapture(capture_, ingest_);
-    MakeDatabase(100);
-  }
-  void TearDown() override {
-    unsetenv("FAKE");
-    unsetenv("NRFF_COLMAP");
-  }
-
-  void Script(const std::string& command, const std::string& text) { WriteFileAtomically(fake_ / command, text); }
-
-  // COLMAP's tables with all photos, `n_keypoints` features each, all pairs with `n_matches` verified matches.
-  void MakeDatabase(int n_matches, int n_keypoints = 1000) {
-    MakeDatabase([&](int, int) { return n_matches; }, n_keypoints);
-  }
-  void MakeDatabase(const std::function<int(int, int)>& n_matches, int n_keypoints = 1000) {
-    fs::remove(fake_ / "database.db");
-    std::string sql =
-        "CREATE TABLE images (image_id INTEGER PRIMARY KEY, name TEXT, camera_id INTEGER);"
-        "CREATE TABLE keypoints (image_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
-        "CREATE TABLE descriptors (image_id INTEGER PRIMARY KEY, rows INTEGER, cols INTEGER, data BLOB);"
-        "CREATE TABLE cameras (camera_id INTEGER PRIMARY KEY, model INTEGER, width INTEGER, height INTEGER, params "
-        "BLOB,"
-        " prior_focal_length INTEGER);"
-        "INSERT INTO cameras VALUES (1, 2, 32, 24, zeroblob(32), 0);"
-        "CREATE TABLE two_view_geometries (pair_id INTEGER PRIMARY KEY, rows INTEGER);";
-    for (size_t i = 0; i < capture_.images.size(); ++i) {
-      const std::string id = std::to_string(i + 1);
-      sql += "INSERT INTO images VALUES (" + id + ", '" + WorkingPhotoName(capture_.images[i]) + "', 1);";
-      sql += "INSERT INTO keypoints VALUES (" + id + ", " + std::to_string(n_keypoints) + ", 6, NULL);";
-      sql += "INSERT INTO descriptors VALUES (" + id + ", 2, 128, zeroblob(256));";
-    }
-    for (const auto& [a, b] : AllPairs(int(capture_.images.size()))) {
-      sql += "INSERT INTO two_view_geometries VALUES (" + std::to_string(2147483647LL * (a + 1) + b + 1) + ", " +
-             std::to_string(n_matches(a, b)) + ");";
-    }
-    sqlite3* database = nullptr;
-    ASSERT_EQ(sqlite3_open((fake_ / "database.db").c_str(), &database), SQLITE_OK);
-    ASSERT_EQ(sqlite3_exec(database, sql.c_str(), nullptr, nullptr, nullptr), SQLITE_OK);
-    sqlite3_close(database);
-  }
-
-  // What the mapper finds: model `number` of these photos.
-  void AddModel(int number, const std::vector<int>& photos, const std::string& folder = "models") {
-    std::vector<std::string> names;
-    names.reserve(photos.size());
-    for (const int i : photos) names.push_back(WorkingPhotoName(capture_.images[size_t(i)]));
-    AddModel(number, MakeModel(names, 32, 24, -0.05), folder);
-  }
-  void AddModel(int number, const ColmapModel& model, const std::string& folder) {
-    const fs::path dir = fake_ / folder / std::to_string(number);
-    fs::create_directories(dir);
-    WriteColmapBinary(model, dir);
-  }
-
-  Manifest Run(const EstimateOptions& options = {}) {
-    ArtifactWriter artifact("sfm", sfm_, {}, {}, ArtifactWriter::kKeepPartial);
-    EstimatePoses(ingest_, options, artifact);
-    artifact.Commit();
-    return RequireArtifact(sfm_, "sfm");
-  }
-
-  template <typename Matcher>
-  void ExpectError(ExitCode code, const Matcher& matcher, const EstimateOptions& options = {}) {
-    try {
-      Run(options);
-      FAIL();
-    } catch (const Error& error) {
-      EXPECT_EQ(error.code(), code) << error.what();
-      EXPECT_THAT(error.what(), matcher);
-    }
-    EXPECT_FALSE(fs::exists(sfm_));
-  }
-
-  static bool Decided(const Manifest& manifest, const std::string& feature) {
-    for (const Decision& decision : manifest.decisions) {
-      if (decision.feature == feature) return decision.needed;
-    }
-    ADD_FAILURE() << feature << " was not decided";
-    return false;
-  }
-  std::string Calls() { return fs::exists(fake_ / "calls") ? ReadFile(fake_ / "calls") : std::string(); }
-
-  TemporaryDirectory dir_;
-  fs::path fake_ = dir_.path() / "fake", ingest_ = dir_.path() / "ingest", sfm_ = dir_.path() / "sfm";
-  Capture capture_;
-};
 
 TEST_F(Estimate, TheModelComesNamedByIdAndAtThePhotosSize) {
   AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
@@ -207,31 +59,57 @@ TEST_F(Estimate, TheModelIsRefinedUnlessThatIsLeftOut) {
 }
 
 TEST_F(Estimate, PhotosOfAZoomLensGetFocalLengthsOfTheirOwn) {
-  ColmapModel model = Ring({1, CameraModel::kSimpleRadial, 64, 48, {55, 32, 24, -0.05}}, 8, 1500);
-  const ColmapCamera shared = model.cameras.at(1);
-  for (auto& [id, image] : model.images) {
-    image.camera_id = 10 + id;
-    model.cameras[10 + id] = shared;
-    model.cameras[10 + id].params[0] *= 0.95 + 0.1 * double(3 * id % 8) / 7;
-  }
-  Observe(model);
-  AddNoise(model, 0.03, 5);
-  for (auto& [id, image] : model.images) {
-    image.camera_id = 1;
-    image.name = WorkingPhotoName(capture_.images[id - 1]);
-  }
-  model.cameras = {{1, shared}};
+  ColmapModel model = ZoomedRing({1, CameraModel::kSimpleRadial, 64, 48, {55, 32, 24, -0.05}}, 8, 1500, 0.1, 0.03);
+  for (auto& [id, image] : model.images) image.name = WorkingPhotoName(capture_.images[id - 1]);
   AddModel(0, model, "models");
   EXPECT_TRUE(Decided(Run(), "own_focal_lengths"));
+  EXPECT_EQ(ReadJson(sfm_ / kRefinementName).at("iterations"), 0) << "certified as it was solved";
   const ColmapModel own = ReadColmapModel(sfm_ / "sparse");
   ASSERT_EQ(own.cameras.size(), 8u);
   for (const auto& [id, image] : own.images)
-    EXPECT_NEAR(own.cameras.at(image.camera_id).params[0], 55 * (0.95 + 0.1 * double(3 * id % 8) / 7), 0.3);
+    EXPECT_NEAR(own.cameras.at(image.camera_id).params[0], 55 * ZoomOf(id, 8, 0.1), 0.3);
   EXPECT_EQ(ReadColmapModel(sfm_ / "mapping/model").cameras.size(), 1u);  // what another estimate goes on from
   EstimateOptions options;
   options.own_focal_lengths = false;
   EXPECT_FALSE(Decided(Run(options), "own_focal_lengths"));
   EXPECT_EQ(ReadColmapModel(sfm_ / "sparse").cameras.size(), 1u);
+  options = {};
+  options.refine = false;  // which they are part of
+  EXPECT_FALSE(Decided(Run(options), "own_focal_lengths"));
+}
+
+TEST_F(Estimate, FocalLengthsCanBeForcedWhereThereIsTooLittleToTellBy) {
+  AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
+  Manifest manifest = Run();
+  EXPECT_FALSE(Decided(manifest, "own_focal_lengths"));
+  EXPECT_THAT(manifest.decisions.back().evidence, HasSubstr("too few observations"));
+  EstimateOptions options;
+  options.own_focal_lengths = true;
+  manifest = Run(options);
+  EXPECT_TRUE(Decided(manifest, "own_focal_lengths"));
+  EXPECT_EQ(manifest.decisions.back().reason, "forced by an option");
+  EXPECT_EQ(ReadColmapModel(sfm_ / "sparse").cameras.size(), 8u);
+}
+
+TEST_F(Estimate, WhatIsForcedInVainIsSaid) {
+  AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
+  EstimateOptions options;
+  options.gps_pairs = true;
+  const Manifest manifest = Run(options);
+  EXPECT_FALSE(Decided(manifest, "gps_pairs"));
+  EXPECT_THAT(manifest.decisions.at(1).evidence, "all pairs are matched");
+  options = {};
+  options.second_attempt = true;
+  options.max_features = 100;
+  fs::remove_all(sfm_);
+  ExpectError(ExitCode::kUsage, HasSubstr("leave either --second-attempt on out"), options);
+}
+
+TEST_F(Estimate, WorkingPhotosOfAnotherOrientationAreAnError) {
+  std::vector<std::string> names;
+  for (const CaptureImage& photo : capture_.images) names.push_back(WorkingPhotoName(photo));
+  AddModel(0, MakeModel(names, 24, 32, -0.05), "models");
+  ExpectError(ExitCode::kCorrupt, AllOf(HasSubstr("photo 000000 24×32, its sensor 64×48"), HasSubstr("partial")));
 }
 
 TEST_F(Estimate, TurnedPhotosShareTheirCamerasLens) {
@@ -258,6 +136,8 @@ TEST_F(Estimate, TurnedPhotosShareTheirCamerasLens) {
       EXPECT_LT((*px - Eigen::Vector2d(seen.x, seen.y)).norm(), 1e-6) << image.name;
     }
   }
+  // Certified as one camera, as it was solved: each turn's own would have had too few images for a principal point.
+  EXPECT_EQ(ReadJson(sfm_ / kRefinementName).at("n_principal_points_held"), 0);
 }
 
 TEST_F(Estimate, TheLargestOfSeveralModelsIsTaken) {
@@ -385,282 +265,6 @@ TEST_F(Estimate, FainterFeaturesAreTakenWherePhotosHaveFew) {
   ASSERT_EQ(manifest.facts.at("attempts").size(), 1u);
   EXPECT_EQ(manifest.facts.at("attempts")[0].at("peak_threshold"), 0.004);
   EXPECT_THAT(Calls(), HasSubstr("--SiftExtraction.peak_threshold 0.004"));
-}
-
-// 24 photos that all look the same: each is paired with the first ten and the next three, so that those of 10 to 22
-// have not been matched with 23.
-class EstimateOfPieces : public Estimate {
- protected:
-  void SetUp() override {
-    Estimate::SetUp();
-    capture_ = MakeCapture(dir_.path() / "photos", 24, false);
-    SaveCapture(capture_, ingest_);
-    AddModel(0, {10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22});
-    AddModel(1, {0, 1, 2, 3, 4, 5, 6, 7, 8, 9});
-    std::vector<int> all(24);
-    std::iota(all.begin(), all.end(), 0);
-    AddModel(0, all, "joined");
-    options_.exhaustive = false;
-  }
-  size_t NumMapperCalls() {
-    size_t n = 0;
-    const std::string calls = Calls();
-    for (size_t at = 0; (at = calls.find("mapper ", at)) != std::string::npos; ++at) ++n;
-    return n;
-  }
-
-  EstimateOptions options_;
-};
-
-TEST_F(EstimateOfPieces, BecomeOneByPairsBetweenThem) {
-  MakeDatabase(100);
-  const Manifest manifest = Run(options_);
-  EXPECT_EQ(manifest.facts.at("n_registered"), 24);
-  EXPECT_EQ(manifest.facts.at("n_models"), 1);
-  ASSERT_EQ(manifest.facts.at("attempts").size(), 1u);
-  EXPECT_EQ(NumMapperCalls(), 2u);
-}
-
-TEST_F(EstimateOfPieces, PhotosTakenNearEachOtherArePairedToo) {
-  MakeDatabase(100);
-  const Manifest alike = Run(options_);
-  EXPECT_FALSE(Decided(alike, "gps_pairs"));
-  options_.gps_pairs = true;
-  EXPECT_THROW(Run(options_), Error);
-  options_.gps_pairs.reset();
-  for (int i = 0; i < 24; ++i) capture_.images[size_t(i)].info.gps = {{50, 0.001 * (i * 7 % 24), {}}};
-  SaveCapture(capture_, ingest_);
-  const Manifest near = Run(options_);
-  EXPECT_TRUE(Decided(near, "gps_pairs"));
-  options_.gps_pairs = false;
-  EXPECT_EQ(Run(options_).facts.at("attempts")[0].at("n_pairs"), alike.facts.at("attempts")[0].at("n_pairs"));
-  options_.gps_pairs.reset();
-  EXPECT_GT(near.facts.at("attempts")[0].at("n_pairs"), alike.facts.at("attempts")[0].at("n_pairs"));
-  for (CaptureImage& photo : capture_.images) photo.info.gps->longitude_deg /= 1000;  // a few metres: errors
-  SaveCapture(capture_, ingest_);
-  EXPECT_FALSE(Decided(Run(options_), "gps_pairs"));
-}
-
-TEST_F(EstimateOfPieces, ThatDoNotMatchAreNotMappedAgain) {
-  MakeDatabase(0);
-  const Manifest manifest = Run(options_);
-  EXPECT_EQ(manifest.facts.at("n_registered"), 13);
-  EXPECT_EQ(manifest.facts.at("n_models"), 2);
-  EXPECT_EQ(NumMapperCalls(), manifest.facts.at("attempts").size());
-}
-
-// Six photos, and then two more; the fake mapper gives fake_/grown for what it is to grow.
-class EstimateExtended : public Estimate {
- protected:
-  void SetUp() override {
-    Estimate::SetUp();
-    const Capture all = capture_;
-    capture_.images.resize(6);
-    SaveCapture(capture_, ingest_);
-    MakeDatabase(100);
-    AddModel(0, {0, 1, 2, 3, 4, 5});
-    earlier_ = Run();
-    fs::rename(sfm_, base_);
-    fs::remove(fake_ / "calls");
-    capture_ = all;
-    SaveCapture(capture_, ingest_);
-    MakeDatabase(100);
-    options_.base = base_;
-  }
-
-  // The earlier cameras and points as they were, moved by a similarity, and the two added ones.
-  ColmapModel Grown(const Eigen::Matrix4d& moved, int n_photos = 8) const {
-    std::vector<std::string> names;
-    for (int i = 0; i < n_photos; ++i) names.push_back(WorkingPhotoName(capture_.images[size_t(i)]));
-    ColmapModel grown = MakeModel(names, 32, 24, -0.05);
-    const ColmapModel before = ReadColmapModel(base_ / kMappingDir / "model");
-    for (const auto& [id, image] : before.images) grown.images.at(id) = image;
-    return Transformed(grown, moved);
-  }
-  void GrowTo(const ColmapModel& grown) {
-    fs::remove_all(fake_ / "grown");
-    fs::create_directories(fake_ / "grown");
-    WriteColmapBinary(grown, fake_ / "grown");
-  }
-  static Eigen::Matrix4d Moved() {
-    Eigen::Matrix4d moved = Eigen::Matrix4d::Identity();
-    moved.topLeftCorner<3, 3>() = 3 * Eigen::AngleAxisd(0.7, Eigen::Vector3d(1, 2, 3).normalized()).toRotationMatrix();
-    moved.topRightCorner<3, 1>() << 5, -2, 1;
-    return moved;
-  }
-
-  const fs::path base_ = dir_.path() / "base";
-  Manifest earlier_;
-  EstimateOptions options_;
-};
-
-TEST_F(EstimateExtended, TheModelGrowsAndStaysInItsWorld) {
-  GrowTo(Grown(Moved()));
-  const Manifest manifest = Run(options_);
-  const Json extension = ReadJson(sfm_ / kExtensionFile);
-  EXPECT_EQ(extension.at("frame_kept"), true);
-  EXPECT_EQ(extension.at("n_added_placed"), 2);
-  EXPECT_EQ(extension.at("mapped_anew"), false);
-  EXPECT_LT(extension.at("largest_shift_px"), 1e-4);
-  const ColmapModel before = ReadColmapModel(base_ / "sparse"), after = ReadColmapModel(sfm_ / "sparse");
-  ASSERT_EQ(after.images.size(), 8u);
-  for (const auto& [id, image] : before.images) {
-    EXPECT_LT((after.images.at(id).Center() - image.Center()).norm(), 1e-5);
-    EXPECT_LT(after.images.at(id).rotation.angularDistance(image.rotation), 1e-5);
-  }
-  for (const auto& [id, point] : before.points) EXPECT_LT((after.points.at(id).position - point.position).norm(), 1e-5);
-  EXPECT_EQ(manifest.facts.at("n_registered"), 8);
-  EXPECT_EQ(manifest.decisions.back().feature, "poses_anew");
-  EXPECT_FALSE(manifest.decisions.back().needed);
-  // The one mapping there was: of the model kept, and pairs with an added photo alone.
-  EXPECT_THAT(Calls(), HasSubstr("--input_path " + (base_ / kMappingDir / "model").string()));
-  EXPECT_EQ(manifest.facts.at("attempts").at(0).at("n_pairs"), 8 * 7 / 2 - 6 * 5 / 2);
-  EXPECT_EQ(manifest.facts.at("attempts").size(), 1u);
-}
-
-TEST_F(EstimateExtended, PhotosThatDoNotGrowOnAreMappedFromScratch) {
-  GrowTo(Grown(Eigen::Matrix4d::Identity(), 7));
-  AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
-  const Manifest manifest = Run(options_);
-  EXPECT_EQ(manifest.facts.at("n_registered"), 8);
-  EXPECT_EQ(manifest.facts.at("extension").at("mapped_anew"), true);
-  EXPECT_TRUE(manifest.decisions.back().needed);
-}
-
-TEST_F(EstimateExtended, AGrownModelThatHasMoreThanOneFromScratchStays) {
-  GrowTo(Grown(Eigen::Matrix4d::Identity(), 7));
-  AddModel(0, {0, 1, 2, 3, 4, 5});
-  const Manifest manifest = Run(options_);
-  EXPECT_EQ(manifest.facts.at("n_registered"), 7);
-  EXPECT_EQ(manifest.facts.at("extension").at("mapped_anew"), false);
-}
-
-TEST_F(EstimateExtended, AModelThatBentIsNotInTheEarlierWorld) {
-  ColmapModel bent = Grown(Eigen::Matrix4d::Identity());
-  for (auto& [id, image] : bent.images) {
-    const double angle = 0.1 * double(id % 3);  // 32 px wide: 2 px and more
-    const Eigen::Quaterniond turned(Eigen::AngleAxisd(angle, Eigen::Vector3d::UnitY()));
-    image.rotation = turned * image.rotation;
-    image.translation = turned * image.translation;
-  }
-  GrowTo(bent);
-  fs::remove_all(fake_ / "models");
-  fs::create_directories(fake_ / "models/0");
-  WriteColmapBinary(bent, fake_ / "models/0");
-  options_.refine = false;  // which mends it
-  const Manifest manifest = Run(options_);
-  EXPECT_EQ(manifest.facts.at("extension").at("frame_kept"), false);
-  EXPECT_EQ(manifest.facts.at("extension").at("mapped_anew"), true);
-}
-
-TEST_F(EstimateExtended, OtherSettingsOfFeaturesAreNoExtension) {
-  options_.max_features = 999;
-  AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
-  const Manifest manifest = Run(options_);
-  EXPECT_FALSE(manifest.facts.contains("extension"));
-  EXPECT_FALSE(fs::exists(sfm_ / kExtensionFile));
-  EXPECT_THAT(Calls(), Not(HasSubstr("--input_path")));
-}
-
-TEST_F(EstimateExtended, AnotherLensIsNoExtension) {
-  options_.camera_model = CameraModel::kOpenCV;
-  AddModel(0, {0, 1, 2, 3, 4, 5, 6, 7});
-  EXPECT_FALSE(Run(options_).facts.contains("extension"));
-}
-
-TEST(SfmSettings, ComeBackWithTheirLenses) {
-  SfmSettings settings;
-  settings.name = "fast, as fisheyes";
-  settings.camera_model = CameraModel::kRadial;
-  settings.lenses[3] = {0, CameraModel::kOpenCVFisheye, 640, 480, {300, 301, 320, 240, 0.1, -0.02, 0, 0}};
-  const Json json = ToJson(settings);
-  const SfmSettings read = SfmSettingsFromJson(json, "settings.json");
-  EXPECT_EQ(ToJson(read), json);
-  EXPECT_EQ(read.lenses.at(3).params, settings.lenses.at(3).params);
-  EXPECT_EQ(read.camera_model, CameraModel::kRadial);
-  for (const auto& [key, value] : {std::pair("camera_model", Json("PANORAMIC")), {"params", Json{1, 2}}}) {
-    Json broken = json;
-    broken["lenses"][0][key] = value;
-    EXPECT_THROW(SfmSettingsFromJson(broken, "settings.json"), Error) << key;
-  }
-}
-
-// Photos match where they are of the same group, whose last photo is given.
-std::function<int(int, int)> WithinGroups(std::vector<int> ends, int between = 0) {
-  return [ends, between](int a, int b) {
-    const auto group = [&](int i) { return std::lower_bound(ends.begin(), ends.end(), i) - ends.begin(); };
-    return group(a) == group(b) ? 200 : between;
-  };
-}
-
-TEST_F(Estimate, OfTwoCapturesInAFolderTheLargerGoesOn) {
-  AddModel(0, {5, 6, 7});
-  AddModel(1, {0, 1, 2, 3, 4});
-  MakeDatabase(WithinGroups({4, 7}));
-  const Manifest manifest = Run();
-  EXPECT_EQ(manifest.facts.at("n_registered"), 5);
-  EXPECT_EQ(manifest.facts.at("attempts").size(), 1u);
-  EXPECT_FALSE(Decided(manifest, "second_attempt"));
-  const Json& groups = manifest.facts.at("groups");
-  ASSERT_EQ(groups.size(), 2u);
-  EXPECT_EQ(groups[1], (Json{{"n_images", 3}, {"n_points", 40}, {"photos", "photo 5.png to photo 7.png"}}));
-  EXPECT_THAT(manifest.facts.at("groups_advice").get<std::string>(),
-              AllOf(HasSubstr("No photo of one group matches any of another (of 15 pairs tried)"),
-                    HasSubstr("run each by itself"), HasSubstr("between photo 4.png and photo 5.png")));
-  EXPECT_EQ(ReadFile(sfm_ / "groups" / "2.txt"), "photo 5.png\nphoto 6.png\nphoto 7.png\n");
-  // Chance matches do not make one scene of them; pairs that hold could, with more features.
-  MakeDatabase(WithinGroups({4, 7}, 20));
-  const Manifest chance = Run();
-  EXPECT_EQ(chance.facts.at("attempts").size(), 1u);
-  EXPECT_THAT(chance.facts.at("groups_advice").get<std::string>(), HasSubstr("no pair has the 30 matches"));
-  MakeDatabase(WithinGroups({4, 7}, 40));
-  const Manifest linked = Run();
-  EXPECT_EQ(linked.facts.at("attempts").size(), 2u);
-  EXPECT_TRUE(Decided(linked, "second_attempt"));
-  EstimateOptions once;
-  once.second_attempt = false;
-  EXPECT_EQ(Run(once).facts.at("attempts").size(), 1u);
-  EXPECT_THAT(linked.facts.at("groups_advice").get<std::string>(), HasSubstr("15 pairs of 15 pairs tried may hold"));
-}
-
-TEST_F(Estimate, GroupsOfWhichNoneHasHalfThePhotosAreAnErrorThatNamesThem) {
-  capture_ = MakeCapture(dir_.path() / "photos", 12, false);
-  SaveCapture(capture_, ingest_);
-  AddModel(0, {0, 1, 2, 3, 4});
-  AddModel(1, {4, 5, 6, 7});  // one of them is in the larger
-  AddModel(2, {9, 10, 11});
-  MakeDatabase(WithinGroups({4, 7, 11}));
-  ExpectError(ExitCode::kInput,
-              AllOf(HasSubstr("only 5 of 12 photos could be placed together: the photos fall into 3 groups"),
-                    HasSubstr("5 photos with 40 points (photo 0.png to photo 4.png)"), HasSubstr("1 photo in none"),
-                    HasSubstr("groups/1.txt"), Not(HasSubstr("overlap too little"))));
-  EXPECT_EQ(ReadFile(dir_.path() / "sfm.partial" / "groups" / "2.txt"), "photo 5.png\nphoto 6.png\nphoto 7.png\n");
-}
-
-TEST_F(Estimate, GroupsInFoldersOfTheirOwnAreToBeRunFromThere) {
-  for (size_t i = 0; i < capture_.images.size(); ++i) {
-    CaptureImage& photo = capture_.images[i];
-    const fs::path file = fs::path(i < 5 ? "a" : "b") / photo.path;
-    fs::create_directories(capture_.root / file.parent_path());
-    fs::rename(capture_.root / photo.path, capture_.root / file);
-    photo.path = file;
-  }
-  SaveCapture(capture_, ingest_);
-  AddModel(0, {0, 1, 2, 3, 4});
-  AddModel(1, {5, 6, 7});
-  MakeDatabase(WithinGroups({4, 7}));
-  EXPECT_THAT(Run().facts.at("groups_advice").get<std::string>(),
-              HasSubstr("nrff run " + (capture_.root / "a").native() + ", nrff run " + (capture_.root / "b").native()));
-}
-
-TEST_F(Estimate, GroupsOfFramesAreInNoFolderThatCouldBeRun) {
-  Pieces pieces;
-  pieces.pieces = {{{0, 1, 2, 3, 4}, 10}, {{5, 6, 7}, 10}};
-  for (size_t i = 0; i < capture_.images.size(); ++i) capture_.images[i].path = fs::path(i < 5 ? "a" : "b") / "x.jpg";
-  EXPECT_THAT(AdviseOnPieces(capture_, pieces, "groups"), HasSubstr("nrff run"));
-  for (CaptureImage& photo : capture_.images) photo.extracted = true;
-  EXPECT_THAT(AdviseOnPieces(capture_, pieces, "groups"),
-              AllOf(Not(HasSubstr("nrff run")), HasSubstr("groups/1.txt and so on list the photos")));
 }
 
 TEST_F(Estimate, LessThanHalfThePhotosIsAnErrorWithADiagnosis) {

@@ -255,6 +255,8 @@ TEST_F(IngestTest, MixedOrientationsAreRecordedAfterTurning) {
   EXPECT_EQ(image.info.width, 32);
   EXPECT_EQ(image.info.height, 48);
   EXPECT_EQ(capture.images.front().info.width, 48);
+  EXPECT_EQ(image.camera, capture.images.front().camera) << "one camera, turned";
+  EXPECT_EQ(manifest_.facts["n_cameras"], 1);
 }
 
 TEST_F(IngestTest, AlphaMeansAWhiteBackgroundUnlessItIsOpaque) {

@@ -45,40 +45,32 @@ TEST(LensChoice, RicherModelsAreTakenWhereTheyPredictWhatTheyWereNotFittedTo) {
   EXPECT_EQ(fisheye.chosen, CameraModel::kOpenCVFisheye);
 }
 
-// A ring of a zoom lens at so many focal lengths, mapped with one.
-ColmapModel Zoomed(double range) {
-  ColmapModel model = Ring(Camera(CameraModel::kSimpleRadial, {400, 320, 240, -0.08}), 12, 300);
-  const ColmapCamera camera = model.cameras.at(1);
-  for (auto& [id, image] : model.images) {
-    image.camera_id = 100 + id;
-    model.cameras[100 + id] = camera;
-    model.cameras[100 + id].id = 100 + id;
-    model.cameras[100 + id].params[0] *= 1 + range * (double(5 * id % 12) / 11 - 0.5);
-  }
-  Observe(model);
-  AddNoise(model, 0.5, 5);
-  for (auto& [id, image] : model.images) image.camera_id = 1;
-  model.cameras = {{1, camera}};
-  return model;
-}
-
 TEST(LensChoice, FocalLengthsAreEachPhotosOwnWhereThatPredictsMore) {
-  const auto decided = [](const ColmapModel& model) {
-    const auto trial = TryOwnFocalLengths(model, 1);
-    return needs::OwnFocalLengths(trial->shared_px, trial->own_px).needed;
-  };
-  const ColmapModel zoomed = Zoomed(0.1);
-  EXPECT_TRUE(decided(zoomed));
-  EXPECT_FALSE(decided(Zoomed(0)));
-  const ColmapModel own = WithOwnFocalLengths(zoomed, 1);
+  const ColmapCamera camera = Camera(CameraModel::kSimpleRadial, {400, 320, 240, -0.08});
+  const ColmapModel zoomed = ZoomedRing(camera, 12, 300, 0.1, 0.5);
+  EXPECT_TRUE(needs::OwnFocalLengths(*TryOwnFocalLengths(zoomed, 1)).needed);
+  EXPECT_FALSE(needs::OwnFocalLengths(*TryOwnFocalLengths(ZoomedRing(camera, 12, 300, 0, 0.5), 1)).needed);
+  const auto [own, certificate] = WithOwnFocalLengths(zoomed, 1);
+  EXPECT_TRUE(certificate.accepted);
   ASSERT_EQ(own.cameras.size(), 12u);
   for (const auto& [id, camera] : own.cameras) {
     EXPECT_EQ(own.images.at(id).camera_id, id);
-    EXPECT_NEAR(camera.params[0], 400 * (1 + 0.1 * (double(5 * id % 12) / 11 - 0.5)), 1.5);
+    EXPECT_NEAR(camera.params[0], 400 * ZoomOf(id, 12, 0.1), 1.5);
     EXPECT_EQ(camera.params[1], 320);
     EXPECT_EQ(camera.params[3], own.cameras.begin()->second.params[3]);
   }
   EXPECT_FALSE(TryOwnFocalLengths(own, 1));
+}
+
+TEST(LensChoice, FocalLengthsThatNothingFixesStayShared) {
+  ColmapModel two = Ring(Camera(CameraModel::kSimpleRadial, {400, 320, 240, -0.08}), 12, 300);
+  two.points.clear();
+  for (auto& [id, image] : two.images) image.observations.clear();
+  const auto [model, certificate] = WithOwnFocalLengths(two, 1);
+  EXPECT_FALSE(certificate.accepted);
+  EXPECT_FALSE(certificate.reason.empty());
+  EXPECT_EQ(model.cameras.size(), 1u);
+  EXPECT_EQ(model.images.at(3).camera_id, 1u);
 }
 
 TEST(LensChoice, OfTooFewPhotosOrPointsNothingIsSaid) {

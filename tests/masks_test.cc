@@ -183,6 +183,26 @@ TEST_F(MasksTest, ColoursStayWhereTheyDoNotCountAndNoFeaturesAreFoundThere) {
   EXPECT_FALSE(fs::exists(MasksOfWorkingPhotos(working) / (WorkingPhotoName(capture.images[1]) + ".png")));
 }
 
+TEST_F(MasksTest, OfTurnedPhotosLieAsTheirSensorHadThemForFeatures) {
+  for (uint32_t i = 0; i < 3; ++i) {
+    WritePhoto(root_ / ("photo_0" + std::to_string(i) + ".jpg"),
+               {.seed = i, .metadata = [](OIIO::ImageSpec& spec) { spec.attribute("Orientation", 6); }}, "jpeg");
+  }
+  WriteMask("masks/photo_00.png", 48, 32, 20);  // as stored
+  const Capture capture = RunIngest();
+  const fs::path working = work_.path() / "working";
+  WriteWorkingPhotos(capture, 48, 1, working);
+  const std::string name = WorkingPhotoName(capture.images[0]);
+  const Image mask = ReadImageOriented(MasksOfWorkingPhotos(working) / (name + ".png"));
+  ASSERT_EQ(std::pair(mask.width, mask.height), std::pair(48, 32));
+  for (const int row : {1, 30}) {
+    EXPECT_EQ(mask.pixels[size_t(3 * (48 * row + 18))], 0) << row;
+    EXPECT_EQ(mask.pixels[size_t(3 * (48 * row + 22))], 255) << row;
+  }
+  const Image copy = ReadImageOriented(working / name);
+  EXPECT_EQ(std::pair(copy.width, copy.height), std::pair(48, 32));
+}
+
 TEST_F(MasksTest, ThatChangedSinceAreNamed) {
   WritePhotos(3);
   WriteMask("masks/photo_00.png");

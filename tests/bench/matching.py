@@ -236,8 +236,7 @@ def table(result):
              f"(`{result['command']}`).", "",
              "Other programs ran on these cores: processor seconds are the fair comparison. Errors are against the poses "
              "that came with the captures: medians after alignment, positions in thousandths of the cameras' radius. "
-             "`simple` is nrff with COLMAP's SIMPLE_RADIAL lens and last adjustment, neither chosen nor refined, but with a focal length for "
-             "each photo where the photos ask for it (cup). Pairs "
+             "`simple` is nrff with COLMAP's SIMPLE_RADIAL lens and last adjustment, neither chosen nor refined. Pairs "
              "that are verified again with another lens count twice.", "",
              "| capture | photos | registered: COLMAP | nrff | pairs: all | nrff | CPU s: COLMAP | nrff | ratio | "
              "simple | rotation °: COLMAP | nrff | simple | position ‰: COLMAP | nrff | "
