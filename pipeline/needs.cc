@@ -108,13 +108,18 @@ Decision SecondAttempt(int n_images, int n_registered, int n_groups, int n_in_gr
   return decision;
 }
 
-Decision RicherLens(const std::string& model, double error_px, const std::string& richer, double richer_error_px) {
-  const bool needed = richer_error_px <= 0.97 * error_px;
-  return {"richer_lens", needed,
-          Format("observations held out are %.4f px off with ", error_px) + model +
-              Format(", %.4f with ", richer_error_px) + richer,
-          "3 % less",
-          needed ? richer + " describes the lens better" : model + " describes the lens as well as " + richer};
+Decision RicherLens(const std::string& model, double error_px, const std::string& richer, double richer_error_px,
+                    std::optional<double> own_focal_px) {
+  const bool better = richer_error_px <= 0.97 * error_px, zoomed = own_focal_px && *own_focal_px <= richer_error_px;
+  Decision decision{"richer_lens", better && !zoomed,
+                    Format("observations held out are %.4f px off with ", error_px) + model +
+                        Format(", %.4f with ", richer_error_px) + richer,
+                    "3 % less", ""};
+  if (own_focal_px) decision.evidence += Format(", %.4f with a photo's own focal length", *own_focal_px);
+  decision.reason = !better  ? model + " describes the lens as well as " + richer
+                    : zoomed ? "a lens that was zoomed describes the photos better"
+                             : richer + " describes the lens better";
+  return decision;
 }
 
 namespace {

@@ -59,7 +59,11 @@ Decision SecondAttempt(int n_images, int n_registered, int n_groups, int n_in_gr
 // 3 %. Of a made lens with a moustache it is 3.1 % (OPENCV; reprojection errors 0.37 → 0.31 px, positions off by 0.0017
 // → 0.0010 units, but rotations by 0.12 → 0.34°, since the principal point is fitted, too), of fox 3.2 % (RADIAL); of
 // lenses that the simpler model is true of less than 1.5 % (tests/lens_choice_test.cc), as of maryrose (0.1 %) and cup.
-Decision RicherLens(const std::string& model, double error_px, const std::string& richer, double richer_error_px);
+// Nor is it taken where the simpler one with a focal length for each photo does as well (`own_focal_px`; none where
+// that was not tried): of zoomed photos a richer lens explains a part, which then turned cameras by 10° (OPENCV, 28 to
+// 50 mm).
+Decision RicherLens(const std::string& model, double error_px, const std::string& richer, double richer_error_px,
+                    std::optional<double> own_focal_px = {});
 
 // A focal length for each photo takes the place of shared ones only where it predicts observations held out of the fit
 // better by 3 %. Of cup_simple_pinhole, whose given focal lengths differ by a tenth, it was 3.9 to 4.5 % in several

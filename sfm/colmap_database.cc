@@ -96,26 +96,63 @@ FeatureDescriptors ReadFeatureDescriptors(const std::filesystem::path& file, uin
   return result;
 }
 
-void SetLenses(const std::filesystem::path& file, const std::map<uint32_t, ColmapCamera>& cameras) {
-  Connection connection(file);
-  const auto run = [&](const char* statement, const std::function<void(sqlite3_stmt*)>& bind = {}) {
-    connection.ForEachRow(
+namespace {
+
+// Changes that belong together: what throws leaves them open, and closing the connection rolls them back.
+class Transaction {
+ public:
+  explicit Transaction(const std::filesystem::path& file) : connection_(file) { Run("BEGIN"); }
+  void Run(const char* statement, const std::function<void(sqlite3_stmt*)>& bind = {}) {
+    connection_.ForEachRow(
         statement, [](sqlite3_stmt*) {}, bind);
-  };
-  run("BEGIN");  // left open by what throws: closing the connection rolls it back
-  for (const auto& [id, camera] : cameras) {
-    run("UPDATE cameras SET model = ?, width = ?, height = ?, params = ?, prior_focal_length = 1 WHERE camera_id = ?",
-        [&, id = id](sqlite3_stmt* statement) {
-          sqlite3_bind_int(statement, 1, int(camera.model));
-          sqlite3_bind_int(statement, 2, camera.width);
-          sqlite3_bind_int(statement, 3, camera.height);
-          sqlite3_bind_blob(statement, 4, camera.params.data(), int(camera.params.size() * sizeof(double)),
-                            SQLITE_TRANSIENT);
-          sqlite3_bind_int64(statement, 5, id);
-        });
   }
-  run("DELETE FROM two_view_geometries");
-  run("COMMIT");
+  void Commit() { Run("COMMIT"); }
+
+ private:
+  Connection connection_;
+};
+
+// Model, width, height, params as 1 to 4, `id` as 5.
+auto BindCamera(const ColmapCamera& camera, uint32_t id) {
+  return [&camera, id](sqlite3_stmt* statement) {
+    sqlite3_bind_int(statement, 1, int(camera.model));
+    sqlite3_bind_int(statement, 2, camera.width);
+    sqlite3_bind_int(statement, 3, camera.height);
+    sqlite3_bind_blob(statement, 4, camera.params.data(), int(camera.params.size() * sizeof(double)), SQLITE_TRANSIENT);
+    sqlite3_bind_int64(statement, 5, id);
+  };
+}
+
+}  // namespace
+
+void SetLenses(const std::filesystem::path& file, const std::map<uint32_t, ColmapCamera>& cameras) {
+  Transaction transaction(file);
+  for (const auto& [id, camera] : cameras) {
+    transaction.Run(
+        "UPDATE cameras SET model = ?1, width = ?2, height = ?3, params = ?4, prior_focal_length = 1"
+        " WHERE camera_id = ?5",
+        BindCamera(camera, id));
+  }
+  transaction.Run("DELETE FROM two_view_geometries");
+  transaction.Commit();
+}
+
+void SetOwnCameras(const std::filesystem::path& file, const std::map<uint32_t, ColmapCamera>& by_image) {
+  const ColmapDatabase database = ReadColmapDatabase(file);
+  uint32_t next_id = 0;
+  for (const auto& [id, image] : database.images) next_id = std::max(next_id, image.camera_id);
+  Transaction transaction(file);
+  for (const auto& [image, camera] : by_image) {
+    transaction.Run(
+        "INSERT INTO cameras (model, width, height, params, camera_id, prior_focal_length)"
+        " VALUES (?1, ?2, ?3, ?4, ?5, 1)",
+        BindCamera(camera, ++next_id));
+    transaction.Run("UPDATE images SET camera_id = ?2 WHERE image_id = ?1", [&, image = image](sqlite3_stmt* row) {
+      sqlite3_bind_int64(row, 1, image);
+      sqlite3_bind_int64(row, 2, next_id);
+    });
+  }
+  transaction.Commit();
 }
 
 }  // namespace nrff

@@ -37,4 +37,8 @@ FeatureDescriptors ReadFeatureDescriptors(const std::filesystem::path& file, uin
 // that again with them. All or nothing. Throws CorruptError as above.
 void SetLenses(const std::filesystem::path& file, const std::map<uint32_t, ColmapCamera>& cameras);
 
+// Gives images, by their ids, cameras of their own, known as if by EXIF; what was verified stays so. All or nothing.
+// Throws CorruptError as above.
+void SetOwnCameras(const std::filesystem::path& file, const std::map<uint32_t, ColmapCamera>& by_image);
+
 }  // namespace nrff

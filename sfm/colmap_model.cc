@@ -110,6 +110,12 @@ void AddPoint(ColmapModel& model, uint64_t id, ColmapPoint point, const std::str
   }
 }
 
+size_t NumObservations(const ColmapModel& model) {
+  size_t n = 0;
+  for (const auto& [id, point] : model.points) n += point.track.size();
+  return n;
+}
+
 ColmapModel ReadColmapModel(const std::filesystem::path& dir) {
   ColmapModel model;
   if (std::filesystem::exists(dir / "cameras.bin")) {

@@ -72,6 +72,8 @@ struct ColmapModel {
   std::map<uint64_t, ColmapPoint> points;
 };
 
+size_t NumObservations(const ColmapModel& model);  // of points
+
 // Reads cameras/images/points3D as .bin, or as .txt where there is no .bin. Every count is checked against the file's
 // size before memory is taken. Throws InputError naming the file, the place and what was found: truncated, an unknown
 // camera model, a non-finite pose, an image without its camera.

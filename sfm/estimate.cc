@@ -15,6 +15,7 @@
 #include "sfm/capture.h"
 #include "sfm/colmap_model.h"
 #include "sfm/colmap_runner.h"
+#include "sfm/final_model.h"
 #include "sfm/full_size.h"
 #include "sfm/gps.h"
 #include "sfm/lens_attempts.h"
@@ -157,56 +158,6 @@ void Certify(const ColmapModel& model, const BundleOptions& options, ArtifactWri
                                      {"median_error_px", json.at("reprojection_error_px").at("before").at("median")}};
 }
 
-struct Refined {
-  ColmapModel shared;                    // as COLMAP can go on from it
-  std::optional<ColmapModel> own_focal;  // with a focal length for each image, where photos need it
-  BundleOptions options;                 // what the model was solved with, or would have been
-
-  const ColmapModel& model() const { return own_focal ? *own_focal : shared; }
-};
-
-// `as_before`: what an earlier model, that `found` has grown from, was given.
-Decision DecideOwnFocalLengths(const ColmapModel& found, bool refined, std::optional<bool> as_before,
-                               const EstimateOptions& options) {
-  if (options.own_focal_lengths) return needs::OwnFocalLengthsUntried("not tried");
-  if (as_before) return needs::OwnFocalLengthsUntried("photos were added to others", *as_before);
-  if (!refined) return needs::OwnFocalLengthsUntried("refinement is left out");
-  if (const auto errors = TryOwnFocalLengths(found, options.n_threads)) return needs::OwnFocalLengths(*errors);
-  return needs::OwnFocalLengthsUntried("too few observations to hold some out, or no camera that photos share");
-}
-
-Refined Refine(const ColmapModel& found, std::optional<bool> own_before, const EstimateOptions& options,
-               ArtifactWriter& artifact) {
-  Decision refinement = needs::Refinement(found.images.size(), kMostImagesForCovariance);
-  Force(refinement, options.refine);
-  artifact.AddDecision(refinement);
-  const bool richer = std::any_of(found.cameras.begin(), found.cameras.end(), [](const auto& camera) {
-    const CameraModel model = camera.second.model;
-    return model != CameraModel::kSimplePinhole && model != CameraModel::kPinhole &&
-           model != CameraModel::kSimpleRadial;
-  });
-  Refined refined;
-  refined.options = {.principal_points = richer, .n_threads = options.n_threads};
-  refined.shared = refinement.needed ? RefineBundle(found, refined.options).model : found;
-
-  Decision own = DecideOwnFocalLengths(refined.shared, refinement.needed, own_before, options);
-  Force(own, options.own_focal_lengths);
-  if (own.needed) {
-    LogInfo("a focal length for each photo: " + own.evidence + "; " + own.reason);
-    RefinedBundle with_own = WithOwnFocalLengths(refined.shared, options.n_threads);
-    if (with_own.certificate.accepted) {
-      refined.own_focal = std::move(with_own.model);
-      refined.options = OwnFocalLengthsAlone(options.n_threads);
-    } else {
-      own.needed = false;
-      own.reason = "the photos do not fix them: " + with_own.certificate.reason;
-      LogWarning("focal lengths stay shared; " + own.reason);
-    }
-  }
-  artifact.AddDecision(own);
-  return refined;
-}
-
 struct Outcome {
   std::vector<Attempt> attempts;
   size_t best = 0;
@@ -267,7 +218,8 @@ Outcome MakeAttempts(const Capture& capture, const EstimateOptions& options, boo
         if (NumRegistered(attempts.back()) == NumRegistered(attempts[best])) best = attempts.size() - 1;
       };
       const ColmapModel* largest = LargestModel(attempts.back().models);
-      LensChoice choice = largest ? ChooseLens(*largest, options.n_threads) : LensChoice();
+      LensChoice choice =
+          largest ? ChooseLens(*largest, options.own_focal_lengths.value_or(true), options.n_threads) : LensChoice();
       const bool simple_fits = !choice.trials.empty() && choice.chosen == CameraModel::kSimpleRadial;
       if (auto fisheye = AsFisheye(capture, attempts.back(), simple_fits, colmap, dir, artifact)) {
         take_lenses(std::move(*fisheye));
@@ -323,7 +275,7 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
 
   const std::optional<BaseMapping> base =
       options.base.empty() ? std::nullopt : ReadBaseMapping(options.base, Asked(options));
-  const Outcome outcome = MakeAttempts(capture, options, matching.needed, gps.needed, base, colmap, artifact);
+  Outcome outcome = MakeAttempts(capture, options, matching.needed, gps.needed, base, colmap, artifact);
   const auto& [attempts, best, pieces, lenses] = outcome;
   if (lenses.decision) artifact.AddDecision(*lenses.decision);
   fs::remove_all(artifact.dir() / kPieceLists);
@@ -343,10 +295,12 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
                      AdviseOnPieces(capture, pieces, artifact.dir() / kPieceLists));
   }
   const bool grown = base && !MappedAnew(attempts[best]);
-  const Refined refined =
-      Refine(*largest, grown ? std::optional(base->own_focal_lengths) : std::nullopt, options, artifact);
+  FinalModel final =
+      MakeFinalModel(capture, attempts[best], grown ? std::optional(base->own_focal_lengths) : std::nullopt, options,
+                     colmap, artifact);
+  if (final.mapped_again) outcome.attempts.push_back(std::move(*final.mapped_again));
   const ColmapModel working =
-      base ? InBasesWorld(*base, capture, attempts[best], refined.model(), artifact) : refined.model();
+      base ? InBasesWorld(*base, capture, attempts[best], final.model(), artifact) : final.model();
   const ColmapModel full_size = AtFullSize(working, capture);
   const ColmapModel model = AsDisplayed(full_size, capture);
   fs::create_directories(artifact.dir() / kGivenModelDir);
@@ -358,8 +312,8 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
     artifact.facts()["groups_advice"] = advice;
     LogWarning(groups + ". Going on with the largest. " + advice);
   }
-  Certify(full_size, refined.options, artifact);
-  KeepMapping(attempts[best], refined.own_focal ? refined.shared : working, refined.own_focal ? &working : nullptr,
+  Certify(full_size, final.options, artifact);
+  KeepMapping(attempts[best], final.own_focal ? final.shared : working, final.own_focal ? &working : nullptr,
               Asked(options), artifact.dir() / kMappingDir);
   fs::remove_all(artifact.dir() / kWorkDir);
   artifact.AddOutput(kGivenModelDir);

@@ -55,11 +55,8 @@ std::map<int, ColmapCamera> FisheyeGuesses(const Capture& capture, const Attempt
 }
 
 size_t NumObservations(const Attempt& attempt) {
-  size_t n = 0;
-  if (const ColmapModel* largest = LargestModel(attempt.models)) {
-    for (const auto& [id, point] : largest->points) n += point.track.size();
-  }
-  return n;
+  const ColmapModel* largest = LargestModel(attempt.models);
+  return largest ? NumObservations(*largest) : 0;
 }
 
 }  // namespace

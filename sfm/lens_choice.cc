@@ -100,6 +100,12 @@ RefinedBundle RefinedWithOwnFocalLengths(ColmapModel model, const BundleOptions&
   return RefineBundle(model, options);
 }
 
+double Median(std::vector<double> values) {
+  const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
 // k1 to k4 of θ (1 + k1 θ² + …) for the radius that the lens gives rays at θ, by least squares up to its corners.
 std::array<double, 4> FisheyeCoefficients(const ColmapCamera& camera) {
   const double* k = camera.params.data() + lens_model::FirstDistortion(camera.model);
@@ -157,15 +163,24 @@ ColmapModel WithLenses(ColmapModel model, CameraModel camera_model) {
   return model;
 }
 
+namespace {
+
+// Of `fitted`, as refined with shared cameras.
+double OwnFocalLengthsError_px(const ColmapModel& shared, const std::vector<HeldOut>& held_out, int n_threads) {
+  BundleOptions options = OwnFocalLengthsAlone(n_threads);
+  options.least_gain = kLeastGain;
+  return HeldOutError_px(RefinedWithOwnFocalLengths(shared, options).model, held_out);
+}
+
+}  // namespace
+
 std::optional<needs::FocalLengthErrors> TryOwnFocalLengths(const ColmapModel& model, int n_threads) {
   std::vector<HeldOut> held_out;
   const ColmapModel fitted = WithoutHeldOut(model, held_out);
   if (held_out.size() < kFewestHeldOut || ImagesOfCameras(model).size() == model.images.size()) return {};
   const ColmapModel shared = RefinedWithSharedCameras(fitted, kLeastGain, n_threads);
-  BundleOptions options = OwnFocalLengthsAlone(n_threads);
-  options.least_gain = kLeastGain;
-  const RefinedBundle own = RefinedWithOwnFocalLengths(shared, options);
-  return needs::FocalLengthErrors{HeldOutError_px(shared, held_out), HeldOutError_px(own.model, held_out)};
+  return needs::FocalLengthErrors{HeldOutError_px(shared, held_out),
+                                  OwnFocalLengthsError_px(shared, held_out, n_threads)};
 }
 
 RefinedBundle WithOwnFocalLengths(const ColmapModel& model, int n_threads) {
@@ -176,7 +191,30 @@ RefinedBundle WithOwnFocalLengths(const ColmapModel& model, int n_threads) {
   return own;
 }
 
-LensChoice ChooseLens(const ColmapModel& model, int n_threads) {
+RefinedBundle WithOwnFocalLengths(ColmapModel mapped, const ColmapModel& shared, int n_threads) {
+  std::map<uint32_t, std::vector<uint32_t>> images_of;  // by the shared camera
+  for (const auto& [id, image] : mapped.images) {
+    if (const auto before = shared.images.find(id); before != shared.images.end())
+      images_of[before->second.camera_id].push_back(id);
+  }
+  for (const auto& [camera_id, images] : images_of) {
+    ColmapCamera lens = shared.cameras.at(camera_id);
+    const auto first = size_t(lens_model::FirstDistortion(lens.model));
+    for (size_t i = first; i < lens.params.size(); ++i) {
+      std::vector<double> values;
+      for (const uint32_t id : images) values.push_back(mapped.cameras.at(mapped.images.at(id).camera_id).params[i]);
+      lens.params[i] = Median(std::move(values));
+    }
+    for (const uint32_t id : images) {
+      ColmapCamera& own = mapped.cameras.at(mapped.images.at(id).camera_id);
+      std::copy(lens.params.begin() + std::ptrdiff_t(first) - 2, lens.params.end(),
+                own.params.begin() + std::ptrdiff_t(first) - 2);
+    }
+  }
+  return RefinedWithOwnFocalLengths(std::move(mapped), OwnFocalLengthsAlone(n_threads));
+}
+
+LensChoice ChooseLens(const ColmapModel& model, bool own_focal_lengths, int n_threads) {
   LensChoice choice;
   std::vector<HeldOut> held_out;
   const ColmapModel fitted = WithoutHeldOut(model, held_out);
@@ -202,6 +240,13 @@ LensChoice ChooseLens(const ColmapModel& model, int n_threads) {
     if (decision.needed) best = trial;
   }
   choice.chosen = best.model;
+  if (best.model != CameraModel::kSimpleRadial && own_focal_lengths && n_images.size() < model.images.size()) {
+    const ColmapModel shared = RefinedWithSharedCameras(fitted, kLeastGain, n_threads);
+    choice.decision = needs::RicherLens(CameraModelName(CameraModel::kSimpleRadial), choice.trials.front().error_px,
+                                        CameraModelName(best.model), best.error_px,
+                                        OwnFocalLengthsError_px(shared, held_out, n_threads));
+    if (!choice.decision->needed) choice.chosen = CameraModel::kSimpleRadial;
+  }
   return choice;
 }
 

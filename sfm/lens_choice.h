@@ -34,8 +34,10 @@ inline constexpr size_t kFewestHeldOut = 100;  // the same for all candidates: d
 // is. A fisheye of 160° that was mapped with a simple lens seems to have 83°.
 inline constexpr double kWide_deg = 75;
 
-// `model`: of the working photos, all cameras SIMPLE_RADIAL. Tried are RADIAL, OPENCV and OPENCV_FISHEYE.
-LensChoice ChooseLens(const ColmapModel& model, int n_threads);
+// `model`: of the working photos, all cameras SIMPLE_RADIAL. Tried are RADIAL, OPENCV and OPENCV_FISHEYE, and, where
+// one of these seems better, whether a focal length for each image is (unless `own_focal_lengths` says that it may not
+// be).
+LensChoice ChooseLens(const ColmapModel& model, bool own_focal_lengths, int n_threads);
 
 // The camera with `model`'s parameters for what its own lens does to rays up to its corners; exact where `model`
 // includes it, else (fisheyes) the least squares fit.
@@ -53,6 +55,9 @@ std::optional<needs::FocalLengthErrors> TryOwnFocalLengths(const ColmapModel& mo
 // principal points are as given, distortions as refined with shared cameras. A refinement that was not accepted comes
 // with the model as it was, cameras shared.
 RefinedBundle WithOwnFocalLengths(const ColmapModel& model, int n_threads);
+// The same of a model whose images were mapped with cameras of their own: those that share one in `shared` have its
+// principal point and the medians of their distortions.
+RefinedBundle WithOwnFocalLengths(ColmapModel mapped, const ColmapModel& shared, int n_threads);
 inline BundleOptions OwnFocalLengthsAlone(int n_threads) {
   return {.principal_points = false, .distortion = false, .n_threads = n_threads};
 }

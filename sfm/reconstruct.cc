@@ -93,17 +93,23 @@ class Reconstruction {
     return attempt;
   }
 
-  Attempt RunAgain(const Attempt& before, const std::string& name) {
+  Attempt RunWithLenses(const Attempt& before, const std::string& name) {
+    std::map<uint32_t, ColmapCamera> cameras;
+    for (const auto& [group, lens] : settings_.lenses) {
+      if (const auto id = CameraOf(before.database, group)) cameras[*id] = AtWorkingSize(lens);
+    }
+    return RunAgain(before, name, [&](const fs::path& database) { SetLenses(database, cameras); });
+  }
+
+  // `change`: of a copy of the database.
+  Attempt RunAgain(const Attempt& before, const std::string& name,
+                   const std::function<void(const fs::path& database)>& change) {
     Attempt attempt;
     database_ = dir_ / (name + ".db");
     if (!fs::exists(database_)) {
       const fs::path partial = dir_ / (name + ".partial.db");
       fs::copy_file(before.database_file, partial, fs::copy_options::overwrite_existing);
-      std::map<uint32_t, ColmapCamera> cameras;
-      for (const auto& [group, lens] : settings_.lenses) {
-        if (const auto id = CameraOf(before.database, group)) cameras[*id] = AtWorkingSize(lens);
-      }
-      SetLenses(partial, cameras);
+      change(partial);
       fs::rename(partial, database_);
     }
     MatchPairs(MatchedPairs(before.database), attempt);
@@ -474,7 +480,14 @@ Attempt Reconstruct(const Capture& capture, const SfmSettings& settings, Colmap&
 
 Attempt ReconstructWithLenses(const Capture& capture, const Attempt& before, const std::string& name, Colmap& colmap,
                               const fs::path& dir, const ArtifactWriter& artifact) {
-  return Reconstruction(capture, before.settings, colmap, dir, artifact, nullptr).RunAgain(before, name);
+  return Reconstruction(capture, before.settings, colmap, dir, artifact, nullptr).RunWithLenses(before, name);
+}
+
+Attempt ReconstructWithOwnCameras(const Capture& capture, const Attempt& before,
+                                  const std::map<uint32_t, ColmapCamera>& by_image, const std::string& name,
+                                  Colmap& colmap, const ArtifactWriter& artifact) {
+  return Reconstruction(capture, before.settings, colmap, before.database_file.parent_path(), artifact, nullptr)
+      .RunAgain(before, name, [&](const fs::path& database) { SetOwnCameras(database, by_image); });
 }
 
 }  // namespace nrff

@@ -9,6 +9,7 @@
 
 #include <filesystem>
 #include <functional>
+#include <map>
 #include <optional>
 #include <set>
 #include <string>
@@ -65,5 +66,11 @@ Attempt Reconstruct(const Capture& capture, const SfmSettings& settings, Colmap&
 // again, mapped again. Groups without one keep the lens they had. `name`: of its files below `dir`.
 Attempt ReconstructWithLenses(const Capture& capture, const Attempt& before, const std::string& name, Colmap& colmap,
                               const std::filesystem::path& dir, const ArtifactWriter& artifact);
+
+// The attempt `before` mapped again from its verified matches, images with the cameras of their own that are given by
+// their ids; others share theirs as before. `name`: of its files beside `before`'s database.
+Attempt ReconstructWithOwnCameras(const Capture& capture, const Attempt& before,
+                                  const std::map<uint32_t, ColmapCamera>& by_image, const std::string& name,
+                                  Colmap& colmap, const ArtifactWriter& artifact);
 
 }  // namespace nrff

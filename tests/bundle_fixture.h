@@ -4,6 +4,7 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <random>
 #include <string>
 #include <vector>
@@ -134,24 +135,29 @@ inline void AddNoise(ColmapModel& model, double sigma_px, unsigned seed) {
   }
 }
 
-// What the lens of image `id` of ZoomedRing is zoomed by: 1 − range/2 to 1 + range/2. `n`: no multiple of 5.
+// What the lens of image `id` of `n` (no multiple of 5) is zoomed by: 1 − range/2 to 1 + range/2.
 inline double ZoomOf(uint32_t id, int n, double range) {
   return 1 + range * (double(5 * id % uint32_t(n)) / (n - 1) - 0.5);
 }
 
-// A ring seen through a zoom lens, mapped as if it had not been zoomed.
-inline ColmapModel ZoomedRing(const ColmapCamera& camera, int n, int n_points, double range, double noise_px) {
+// A ring seen through a zoom lens, as if it had not been zoomed by `zoom_of` for each image.
+inline ColmapModel ZoomedRing(const ColmapCamera& camera, int n, int n_points, double noise_px,
+                              const std::function<double(uint32_t id)>& zoom_of) {
   ColmapModel model = Ring(camera, n, n_points);
   for (auto& [id, image] : model.images) {
     image.camera_id = 100 + id;
     ColmapCamera& zoomed = model.cameras[image.camera_id] = camera;
-    zoomed.params[0] *= ZoomOf(id, n, range);
+    zoomed.params[0] *= zoom_of(id);
   }
   Observe(model);
   AddNoise(model, noise_px, 5);
   for (auto& [id, image] : model.images) image.camera_id = camera.id;
   model.cameras = {{camera.id, camera}};
   return model;
+}
+
+inline ColmapModel ZoomedRing(const ColmapCamera& camera, int n, int n_points, double noise_px, double range) {
+  return ZoomedRing(camera, n, n_points, noise_px, [&](uint32_t id) { return ZoomOf(id, n, range); });
 }
 
 inline ColmapModel Moved(ColmapModel model, double scale, const Eigen::Quaterniond& rotation,

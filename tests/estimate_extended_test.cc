@@ -84,7 +84,7 @@ TEST_F(EstimateExtended, TheModelGrowsAndStaysInItsWorld) {
 // Photos of a zoom lens: what COLMAP goes on from has shared focal lengths, and other poses than were exported.
 TEST_F(EstimateExtended, OwnFocalLengthsAreHandedOnAndTheWorldIsTheExportedOne) {
   const ColmapCamera camera{1, CameraModel::kSimpleRadial, 32, 24, {28, 16, 12, -0.05}};
-  ColmapModel all = ZoomedRing(camera, 8, 1500, 0.3, 0.02);
+  ColmapModel all = ZoomedRing(camera, 8, 1500, 0.02, 0.3);
   for (auto& [id, image] : all.images) image.name = WorkingPhotoName(capture_.images[id - 1]);
   ColmapModel six = all;
   for (const uint32_t added : {7u, 8u}) {

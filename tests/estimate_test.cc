@@ -59,7 +59,7 @@ TEST_F(Estimate, TheModelIsRefinedUnlessThatIsLeftOut) {
 }
 
 TEST_F(Estimate, PhotosOfAZoomLensGetFocalLengthsOfTheirOwn) {
-  ColmapModel model = ZoomedRing({1, CameraModel::kSimpleRadial, 64, 48, {55, 32, 24, -0.05}}, 8, 1500, 0.1, 0.03);
+  ColmapModel model = ZoomedRing({1, CameraModel::kSimpleRadial, 64, 48, {55, 32, 24, -0.05}}, 8, 1500, 0.03, 0.1);
   for (auto& [id, image] : model.images) image.name = WorkingPhotoName(capture_.images[id - 1]);
   AddModel(0, model, "models");
   EXPECT_TRUE(Decided(Run(), "own_focal_lengths"));
@@ -76,6 +76,51 @@ TEST_F(Estimate, PhotosOfAZoomLensGetFocalLengthsOfTheirOwn) {
   options = {};
   options.refine = false;  // which they are part of
   EXPECT_FALSE(Decided(Run(options), "own_focal_lengths"));
+}
+
+// With a camera for each photo the mapper finds more: what it finds is taken, from the matches that there were.
+TEST_F(Estimate, PhotosOfAZoomLensAreMappedAgainEachWithItsCamera) {
+  const ColmapCamera camera{1, CameraModel::kSimpleRadial, 64, 48, {55, 32, 24, -0.05}};
+  ColmapModel model = ZoomedRing(camera, 8, 1500, 0.03, 0.1);
+  for (auto& [id, image] : model.images) image.name = WorkingPhotoName(capture_.images[id - 1]);
+  ColmapModel own = model;
+  for (auto& [id, image] : own.images) {
+    image.camera_id = 50 + id;
+    own.cameras[50 + id] = {50 + id, CameraModel::kSimpleRadial, 64, 48, {55 * ZoomOf(id, 8, 0.1), 32, 24, -0.05}};
+  }
+  own.cameras.erase(1);
+  for (int i = 0; i < 400; ++i) {  // the mapper with a shared camera lost these
+    const auto point = std::prev(model.points.end());
+    for (const auto& [image, index] : point->second.track) model.images.at(image).observations[index].point_id = -1;
+    model.points.erase(point);
+  }
+  AddModel(0, model, "models");
+  AddModel(0, own, "own");
+  const Manifest manifest = Run();
+  EXPECT_TRUE(Decided(manifest, "own_focal_lengths"));
+  EXPECT_EQ(manifest.facts.at("n_points"), 1500);
+  EXPECT_EQ(manifest.facts.at("attempts").back().at("settings"), "thorough, own focal lengths");
+  EXPECT_EQ(manifest.facts.at("attempts").back().at("n_pairs"), 0);
+  const ColmapModel found = ReadColmapModel(sfm_ / "sparse");
+  for (const auto& [id, image] : found.images)
+    EXPECT_NEAR(found.cameras.at(image.camera_id).params[0], 55 * ZoomOf(id, 8, 0.1), 0.2);
+  EXPECT_EQ(ReadColmapModel(sfm_ / "mapping/model").points.size(), 1100u);
+  // Not where it loses photos.
+  fs::remove_all(fake_ / "own");
+  own.images.erase(8);
+  for (auto& [id, point] : own.points) std::erase_if(point.track, [](const auto& o) { return o.first == 8; });
+  AddModel(0, own, "own");
+  EXPECT_EQ(Run().facts.at("n_points"), 1100);
+}
+
+TEST_F(Estimate, OwnCamerasAreWrittenIntoTheDatabaseAndMatchesStay) {
+  const ColmapCamera own{0, CameraModel::kRadial, 64, 48, {45, 32, 24, -0.25, 0.3}};
+  SetOwnCameras(fake_ / "database.db", {{2, own}, {5, own}});
+  const ColmapDatabase database = ReadColmapDatabase(fake_ / "database.db");
+  EXPECT_EQ(database.verified_matches.size(), 28u);
+  EXPECT_EQ(database.images.at(1).camera_id, 1u);
+  EXPECT_EQ(database.images.at(2).camera_id, 2u);
+  EXPECT_EQ(database.images.at(5).camera_id, 3u);
 }
 
 TEST_F(Estimate, FocalLengthsCanBeForcedWhereThereIsTooLittleToTellBy) {

@@ -26,7 +26,7 @@ ColmapCamera Camera(CameraModel model, std::vector<double> params) { return {1, 
 
 TEST(LensChoice, TheSimpleModelStaysWhereItIsTrue) {
   const LensChoice choice =
-      ChooseLens(MappedWithSimpleLens(Camera(CameraModel::kSimpleRadial, {400, 321, 239, -0.08}), -0.08), 1);
+      ChooseLens(MappedWithSimpleLens(Camera(CameraModel::kSimpleRadial, {400, 321, 239, -0.08}), -0.08), true, 1);
   ASSERT_EQ(choice.trials.size(), 4u);
   EXPECT_EQ(choice.chosen, CameraModel::kSimpleRadial);
   EXPECT_FALSE(choice.decision->needed);
@@ -36,20 +36,20 @@ TEST(LensChoice, TheSimpleModelStaysWhereItIsTrue) {
 
 TEST(LensChoice, RicherModelsAreTakenWhereTheyPredictWhatTheyWereNotFittedTo) {
   const LensChoice radial =
-      ChooseLens(MappedWithSimpleLens(Camera(CameraModel::kRadial, {400, 321, 239, -0.25, 0.12}), -0.1), 1);
+      ChooseLens(MappedWithSimpleLens(Camera(CameraModel::kRadial, {400, 321, 239, -0.25, 0.12}), -0.1), true, 1);
   EXPECT_EQ(radial.chosen, CameraModel::kRadial);
   EXPECT_TRUE(radial.decision->needed);
   const LensChoice fisheye = ChooseLens(
       MappedWithSimpleLens(Camera(CameraModel::kOpenCVFisheye, {260, 260, 321, 239, -0.02, 0.01, -0.004, 0.001}), -0.1),
-      1);
+      true, 1);
   EXPECT_EQ(fisheye.chosen, CameraModel::kOpenCVFisheye);
 }
 
 TEST(LensChoice, FocalLengthsAreEachPhotosOwnWhereThatPredictsMore) {
   const ColmapCamera camera = Camera(CameraModel::kSimpleRadial, {400, 320, 240, -0.08});
-  const ColmapModel zoomed = ZoomedRing(camera, 12, 300, 0.1, 0.5);
+  const ColmapModel zoomed = ZoomedRing(camera, 12, 300, 0.5, 0.1);
   EXPECT_TRUE(needs::OwnFocalLengths(*TryOwnFocalLengths(zoomed, 1)).needed);
-  EXPECT_FALSE(needs::OwnFocalLengths(*TryOwnFocalLengths(ZoomedRing(camera, 12, 300, 0, 0.5), 1)).needed);
+  EXPECT_FALSE(needs::OwnFocalLengths(*TryOwnFocalLengths(ZoomedRing(camera, 12, 300, 0.5, 0), 1)).needed);
   const auto [own, certificate] = WithOwnFocalLengths(zoomed, 1);
   EXPECT_TRUE(certificate.accepted);
   ASSERT_EQ(own.cameras.size(), 12u);
@@ -60,6 +60,37 @@ TEST(LensChoice, FocalLengthsAreEachPhotosOwnWhereThatPredictsMore) {
     EXPECT_EQ(camera.params[3], own.cameras.begin()->second.params[3]);
   }
   EXPECT_FALSE(TryOwnFocalLengths(own, 1));
+}
+
+TEST(LensChoice, ARicherLensIsNotTakenForZoomedPhotos) {
+  // Photos from one side are zoomed in, and mapping has bent them into place.
+  const auto zoom_of = [](uint32_t id) { return 1 + 0.3 * std::cos(2 * M_PI * id / 12); };
+  const ColmapModel zoomed =
+      RefineBundle(ZoomedRing(Camera(CameraModel::kSimpleRadial, {400, 320, 240, -0.08}), 12, 300, 0.3, zoom_of),
+                   {.principal_points = false})
+          .model;
+  EXPECT_NE(ChooseLens(zoomed, false, 1).chosen, CameraModel::kSimpleRadial);
+  const LensChoice choice = ChooseLens(zoomed, true, 1);
+  EXPECT_EQ(choice.chosen, CameraModel::kSimpleRadial);
+  EXPECT_EQ(choice.decision->reason, "a lens that was zoomed describes the photos better");
+}
+
+TEST(LensChoice, PhotosMappedWithCamerasOfTheirOwnShareDistortionAndPrincipalPoint) {
+  const ColmapCamera camera = Camera(CameraModel::kSimpleRadial, {400, 320, 240, -0.08});
+  const ColmapModel shared = ZoomedRing(camera, 12, 300, 0.3, 0.1);
+  ColmapModel mapped = WithOwnFocalLengths(shared, 1).model;
+  for (auto& [id, own] : mapped.cameras) {
+    own.params[1] = 330;
+    own.params[3] = id == 5 ? 0.5 : -0.08 + 1e-4 * id;
+  }
+  const auto [own, certificate] = WithOwnFocalLengths(mapped, shared, 1);
+  ASSERT_TRUE(certificate.accepted);
+  for (const auto& [id, one] : own.cameras) {
+    EXPECT_NEAR(one.params[0], 400 * ZoomOf(id, 12, 0.1), 1.5);
+    EXPECT_EQ(one.params[1], 320);
+    EXPECT_NEAR(one.params[3], -0.08, 2e-3);
+    EXPECT_EQ(one.params[3], own.cameras.begin()->second.params[3]);
+  }
 }
 
 TEST(LensChoice, FocalLengthsThatNothingFixesStayShared) {
@@ -75,14 +106,14 @@ TEST(LensChoice, FocalLengthsThatNothingFixesStayShared) {
 
 TEST(LensChoice, OfTooFewPhotosOrPointsNothingIsSaid) {
   const ColmapCamera camera = Camera(CameraModel::kRadial, {400, 321, 239, -0.25, 0.12});
-  EXPECT_TRUE(ChooseLens(MappedWithSimpleLens(camera, -0.1, 4), 1).trials.empty());
+  EXPECT_TRUE(ChooseLens(MappedWithSimpleLens(camera, -0.1, 4), true, 1).trials.empty());
   ColmapModel few = MappedWithSimpleLens(camera, -0.1);
   while (few.points.size() >= kFewestHeldOut) {
     for (const auto& [image, index] : few.points.rbegin()->second.track)
       few.images.at(image).observations[index].point_id = -1;
     few.points.erase(std::prev(few.points.end()));
   }
-  EXPECT_TRUE(ChooseLens(few, 1).trials.empty());
+  EXPECT_TRUE(ChooseLens(few, true, 1).trials.empty());
 }
 
 TEST(LensChoice, ConvertedCamerasSeeTheSame) {

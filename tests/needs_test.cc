@@ -26,6 +26,8 @@ TEST(Needs, ASecondAttemptIsMadeOfTooFewPhotosThatAreOneScene) {
 TEST(Needs, LensesAreAsRichAsPhotosNeed) {
   EXPECT_TRUE(needs::RicherLens("SIMPLE_RADIAL", 1, "RADIAL", 0.97).needed);
   EXPECT_FALSE(needs::RicherLens("SIMPLE_RADIAL", 1, "RADIAL", 0.98).needed);
+  EXPECT_TRUE(needs::RicherLens("SIMPLE_RADIAL", 1, "RADIAL", 0.9, 0.91).needed);
+  EXPECT_FALSE(needs::RicherLens("SIMPLE_RADIAL", 1, "RADIAL", 0.9, 0.9).needed) << "it was zoomed";
   EXPECT_TRUE(needs::Fisheye(10, 1000, 10, 1100).needed);
   EXPECT_FALSE(needs::Fisheye(10, 1000, 10, 1099).needed);
   EXPECT_FALSE(needs::Fisheye(10, 1000, 9, 2000).needed);
