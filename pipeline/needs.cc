@@ -138,7 +138,7 @@ Decision OwnFocalLengths(const FocalLengthErrors& errors) {
 
 Decision OwnFocalLengthsUntried(const std::string& why, bool as_before) {
   return {kOwnFocalLengths, as_before, why, kFocalLengthGain,
-          as_before ? "the earlier photos were given their own" : "nothing says that focal lengths differ"};
+          as_before ? "the earlier photos were given their own" : "nothing was measured that asks for them"};
 }
 
 Decision Refinement(size_t n_images, size_t most) {

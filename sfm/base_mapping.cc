@@ -73,6 +73,10 @@ std::optional<BaseMapping> ReadBaseMapping(const fs::path& base_dir, const Json&
   return base;
 }
 
+bool IsInBasesWorld(const BaseMapping& base, const Capture& capture, const ColmapModel& model) {
+  return needs::SameWorld(Compare(base, base.exported, capture, model, MeasureShift(base.exported, model)));
+}
+
 bool MappedAnew(const Attempt& attempt) { return BestModel(attempt) != (attempt.grown ? &*attempt.grown : nullptr); }
 
 Attempt Extend(const BaseMapping& base, SfmSettings settings, const Capture& capture, Colmap& colmap,

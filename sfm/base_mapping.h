@@ -37,6 +37,9 @@ struct BaseMapping {
 // file that cannot be used.
 std::optional<BaseMapping> ReadBaseMapping(const std::filesystem::path& base_dir, const Json& asked);
 
+// Whether the model, to be exported, can be laid over the base's exported one (needs::SameWorld).
+bool IsInBasesWorld(const BaseMapping& base, const Capture& capture, const ColmapModel& model);
+
 // Whether what the extending attempt came to is a model mapped from scratch.
 bool MappedAnew(const Attempt& attempt);
 

@@ -2,8 +2,11 @@
 
 #include <sqlite3.h>
 
+#include <algorithm>
 #include <functional>
 #include <memory>
+#include <string>
+#include <vector>
 
 #include "pipeline/error.h"
 #include "pipeline/files.h"
@@ -139,6 +142,10 @@ void SetLenses(const std::filesystem::path& file, const std::map<uint32_t, Colma
 
 void SetOwnCameras(const std::filesystem::path& file, const std::map<uint32_t, ColmapCamera>& by_image) {
   const ColmapDatabase database = ReadColmapDatabase(file);
+  std::vector<std::string> rig_tables;  // of COLMAP 3.12 on, which makes one of each camera where these are empty
+  Connection(file).ForEachRow(
+      "SELECT name FROM sqlite_master WHERE name IN ('rigs', 'rig_sensors', 'frames', 'frame_data')",
+      [&](sqlite3_stmt* row) { rig_tables.emplace_back(reinterpret_cast<const char*>(sqlite3_column_text(row, 0))); });
   uint32_t next_id = 0;
   for (const auto& [id, image] : database.images) next_id = std::max(next_id, image.camera_id);
   Transaction transaction(file);
@@ -152,6 +159,7 @@ void SetOwnCameras(const std::filesystem::path& file, const std::map<uint32_t, C
       sqlite3_bind_int64(row, 2, next_id);
     });
   }
+  for (const std::string& table : rig_tables) transaction.Run(("DELETE FROM " + table).c_str());
   transaction.Commit();
 }
 

@@ -158,6 +158,22 @@ void Certify(const ColmapModel& model, const BundleOptions& options, ArtifactWri
                                      {"median_error_px", json.at("reprojection_error_px").at("before").at("median")}};
 }
 
+// Of the photos' px per px of their working copies, over images.
+double MeanScale(const ColmapModel& working, const ColmapModel& full_size) {
+  double sum = 0;
+  for (const auto& [id, image] : working.images) {
+    sum += double(full_size.cameras.at(image.camera_id).width) / working.cameras.at(image.camera_id).width;
+  }
+  return sum / double(working.images.size());
+}
+
+// What minimises the same in photos so many times as large.
+BundleOptions AtScale(BundleOptions options, double scale) {
+  options.loss_scale_px *= scale;
+  options.least_gain *= scale * scale;
+  return options;
+}
+
 struct Outcome {
   std::vector<Attempt> attempts;
   size_t best = 0;
@@ -198,6 +214,8 @@ Outcome MakeAttempts(const Capture& capture, const EstimateOptions& options, boo
   if (base && !extended) LogWarning("too few: estimating all poses anew");
   if (extended && options.second_attempt == true)
     LogWarning("no second attempt: photos were added to earlier ones, whose settings stay; --force makes all anew");
+  if (extended && (options.exhaustive == true || options.gps_pairs == true))
+    LogWarning("pairs of the earlier photos stay as they were matched; --force matches all anew");
   for (const int level : {given ? 0 : first_level, first_level + 1}) {
     if (extended) break;
     SfmSettings settings = Settings(level);
@@ -219,14 +237,15 @@ Outcome MakeAttempts(const Capture& capture, const EstimateOptions& options, boo
       };
       const ColmapModel* largest = LargestModel(attempts.back().models);
       LensChoice choice =
-          largest ? ChooseLens(*largest, options.own_focal_lengths.value_or(true), options.n_threads) : LensChoice();
-      const bool simple_fits = !choice.trials.empty() && choice.chosen == CameraModel::kSimpleRadial;
+          largest ? ChooseLens(*largest, MayHaveOwnFocalLengths(largest->images.size(), options), options.n_threads)
+                  : LensChoice();
+      const bool simple_fits = !choice.trials.empty() && choice.chosen == CameraModel::kSimpleRadial && !choice.zoomed;
       if (auto fisheye = AsFisheye(capture, attempts.back(), simple_fits, colmap, dir, artifact)) {
         take_lenses(std::move(*fisheye));
         lenses = {};
       } else if (!choice.trials.empty()) {
         lenses = std::move(choice);
-        if (!simple_fits) {
+        if (lenses.chosen != CameraModel::kSimpleRadial) {
           LogInfo("lenses of the model " + std::string(CameraModelName(lenses.chosen)) + ": " +
                   lenses.decision->evidence);
           take_lenses(WithRicherLenses(capture, attempts.back(), lenses, colmap, dir, artifact));
@@ -267,8 +286,7 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
                                  positions.empty() ? std::nullopt : std::optional(Spread_m(LocalPositions(positions))));
   if (!matching.needed) {
     if (options.gps_pairs == true && positions.empty())
-      throw InputError(
-          "pairs by GPS were asked for, but not every photo says where it was taken; leave --gps-pairs on out");
+      throw InputError("pairs by GPS were asked for, but not every photo says where it was taken; leave that out");
     Force(gps, options.gps_pairs);
   }
   artifact.AddDecision(gps);
@@ -294,10 +312,12 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
                      " photos could be placed together: " + groups + ". " +
                      AdviseOnPieces(capture, pieces, artifact.dir() / kPieceLists));
   }
-  const bool grown = base && !MappedAnew(attempts[best]);
-  FinalModel final =
-      MakeFinalModel(capture, attempts[best], grown ? std::optional(base->own_focal_lengths) : std::nullopt, options,
-                     colmap, artifact);
+  std::optional<GrownFrom> grown_from;
+  if (base && !MappedAnew(attempts[best])) {
+    const auto same_world = [&](const ColmapModel& model) { return IsInBasesWorld(*base, capture, model); };
+    grown_from = {base->own_focal_lengths, same_world};
+  }
+  FinalModel final = MakeFinalModel(capture, attempts[best], grown_from, options, colmap, artifact);
   if (final.mapped_again) outcome.attempts.push_back(std::move(*final.mapped_again));
   const ColmapModel working =
       base ? InBasesWorld(*base, capture, attempts[best], final.model(), artifact) : final.model();
@@ -312,7 +332,7 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
     artifact.facts()["groups_advice"] = advice;
     LogWarning(groups + ". Going on with the largest. " + advice);
   }
-  Certify(full_size, final.options, artifact);
+  Certify(full_size, AtScale(final.options, MeanScale(working, full_size)), artifact);
   KeepMapping(attempts[best], final.own_focal ? final.shared : working, final.own_focal ? &working : nullptr,
               Asked(options), artifact.dir() / kMappingDir);
   fs::remove_all(artifact.dir() / kWorkDir);

@@ -2,6 +2,8 @@
 // need it.
 #pragma once
 
+#include <cstddef>
+#include <functional>
 #include <optional>
 
 #include "pipeline/manifest.h"
@@ -23,12 +25,21 @@ struct FinalModel {
   const ColmapModel& model() const { return own_focal ? *own_focal : shared; }
 };
 
-// Of the attempt's best model. `own_before`: whether an earlier model that it has grown from had own focal lengths;
-// none where it was mapped from scratch. Where they are needed, photos are mapped again from the attempt's matches with
-// a camera for each: with a shared one, zoomed photos were bent into place (28 to 50 mm without EXIF: positions off by
-// 9.8 % of their radius after refinement, 0.1 % mapped again). That model counts where it places no fewer photos and
-// observations. Adds needs::Refinement and OwnFocalLengths to the artifact. Throws what Colmap throws.
-FinalModel MakeFinalModel(const Capture& capture, const Attempt& attempt, std::optional<bool> own_before,
+// The earlier model that a grown one comes from.
+struct GrownFrom {
+  bool own_focal_lengths = false;
+  std::function<bool(const ColmapModel& model)> same_world;  // whether this one can take its place
+};
+
+// Whether photos of so large a model may come to have focal lengths of their own.
+bool MayHaveOwnFocalLengths(size_t n_images, const EstimateOptions& options);
+
+// Of the attempt's best model; `grown_from`: none where it was mapped from scratch. Where own focal lengths are needed,
+// photos are mapped again from the attempt's matches with a camera for each: with a shared one, zoomed photos were bent
+// into place (28 to 50 mm without EXIF: positions off by 9.8 % of their radius after refinement, 0.1 % mapped again).
+// That model counts where it places no fewer photos and observations, and, of a grown one, in the same world. Where
+// COLMAP fails at it the refined one stays. Adds needs::Refinement and OwnFocalLengths to the artifact.
+FinalModel MakeFinalModel(const Capture& capture, const Attempt& attempt, const std::optional<GrownFrom>& grown_from,
                           const EstimateOptions& options, Colmap& colmap, ArtifactWriter& artifact);
 
 }  // namespace nrff

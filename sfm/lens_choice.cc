@@ -165,11 +165,13 @@ ColmapModel WithLenses(ColmapModel model, CameraModel camera_model) {
 
 namespace {
 
-// Of `fitted`, as refined with shared cameras.
-double OwnFocalLengthsError_px(const ColmapModel& shared, const std::vector<HeldOut>& held_out, int n_threads) {
+needs::FocalLengthErrors TriedOwnFocalLengths(const ColmapModel& fitted, const std::vector<HeldOut>& held_out,
+                                              int n_threads) {
+  const ColmapModel shared = RefinedWithSharedCameras(fitted, kLeastGain, n_threads);
   BundleOptions options = OwnFocalLengthsAlone(n_threads);
   options.least_gain = kLeastGain;
-  return HeldOutError_px(RefinedWithOwnFocalLengths(shared, options).model, held_out);
+  const RefinedBundle own = RefinedWithOwnFocalLengths(shared, options);
+  return {HeldOutError_px(shared, held_out), HeldOutError_px(own.model, held_out)};
 }
 
 }  // namespace
@@ -178,9 +180,7 @@ std::optional<needs::FocalLengthErrors> TryOwnFocalLengths(const ColmapModel& mo
   std::vector<HeldOut> held_out;
   const ColmapModel fitted = WithoutHeldOut(model, held_out);
   if (held_out.size() < kFewestHeldOut || ImagesOfCameras(model).size() == model.images.size()) return {};
-  const ColmapModel shared = RefinedWithSharedCameras(fitted, kLeastGain, n_threads);
-  return needs::FocalLengthErrors{HeldOutError_px(shared, held_out),
-                                  OwnFocalLengthsError_px(shared, held_out, n_threads)};
+  return TriedOwnFocalLengths(fitted, held_out, n_threads);
 }
 
 RefinedBundle WithOwnFocalLengths(const ColmapModel& model, int n_threads) {
@@ -241,11 +241,13 @@ LensChoice ChooseLens(const ColmapModel& model, bool own_focal_lengths, int n_th
   }
   choice.chosen = best.model;
   if (best.model != CameraModel::kSimpleRadial && own_focal_lengths && n_images.size() < model.images.size()) {
-    const ColmapModel shared = RefinedWithSharedCameras(fitted, kLeastGain, n_threads);
-    choice.decision = needs::RicherLens(CameraModelName(CameraModel::kSimpleRadial), choice.trials.front().error_px,
-                                        CameraModelName(best.model), best.error_px,
-                                        OwnFocalLengthsError_px(shared, held_out, n_threads));
-    if (!choice.decision->needed) choice.chosen = CameraModel::kSimpleRadial;
+    const needs::FocalLengthErrors errors = TriedOwnFocalLengths(fitted, held_out, n_threads);
+    if (needs::OwnFocalLengths(errors).needed) {
+      choice.decision = needs::RicherLens(CameraModelName(CameraModel::kSimpleRadial), choice.trials.front().error_px,
+                                          CameraModelName(best.model), best.error_px, errors.own_px);
+      choice.zoomed = !choice.decision->needed;
+      if (choice.zoomed) choice.chosen = CameraModel::kSimpleRadial;
+    }
   }
   return choice;
 }

@@ -24,6 +24,7 @@ struct LensChoice {
   std::vector<LensTrial> trials;     // the model's own first; empty where there is too little to judge by
   std::optional<Decision> decision;  // needs::RicherLens of these
   CameraModel chosen = CameraModel::kSimpleRadial;
+  bool zoomed = false;  // the simple model is chosen since focal lengths of the images' own do better than a richer one
 };
 
 inline constexpr double kMostHeldOut_px = 4;   // twice what counts as an inlier while mapping
@@ -51,9 +52,9 @@ ColmapModel WithLenses(ColmapModel model, CameraModel camera_model);
 // by, or no camera is shared.
 std::optional<needs::FocalLengthErrors> TryOwnFocalLengths(const ColmapModel& model, int n_threads);
 
-// `model` refined so that every image has a camera of its own, by the image's id, whose focal length alone is its own:
-// principal points are as given, distortions as refined with shared cameras. A refinement that was not accepted comes
-// with the model as it was, cameras shared.
+// `model` refined so that every image has a camera of its own, by the image's id, whose focal lengths alone are its
+// own: principal points are as given, distortions as refined with shared cameras. A refinement that was not accepted
+// comes with the model as it was, cameras shared.
 RefinedBundle WithOwnFocalLengths(const ColmapModel& model, int n_threads);
 // The same of a model whose images were mapped with cameras of their own: those that share one in `shared` have its
 // principal point and the medians of their distortions.

@@ -98,13 +98,24 @@ class Reconstruction {
     for (const auto& [group, lens] : settings_.lenses) {
       if (const auto id = CameraOf(before.database, group)) cameras[*id] = AtWorkingSize(lens);
     }
-    return RunAgain(before, name, [&](const fs::path& database) { SetLenses(database, cameras); });
+    ChangeCopy(before, name, [&](const fs::path& database) { SetLenses(database, cameras); });
+    Attempt attempt;
+    MatchPairs(MatchedPairs(before.database), attempt);
+    artifact_.SaveSeconds();
+    return MapAgain(name, std::move(attempt));
   }
 
-  // `change`: of a copy of the database.
-  Attempt RunAgain(const Attempt& before, const std::string& name,
-                   const std::function<void(const fs::path& database)>& change) {
+  Attempt RunWithOwnCameras(const Attempt& before, const std::string& name,
+                            const std::map<uint32_t, ColmapCamera>& by_image) {
+    ChangeCopy(before, name, [&](const fs::path& database) { SetOwnCameras(database, by_image); });
     Attempt attempt;
+    attempt.database = ReadColmapDatabase(database_);
+    return MapAgain(name, std::move(attempt));
+  }
+
+ private:
+  void ChangeCopy(const Attempt& before, const std::string& name,
+                  const std::function<void(const fs::path& database)>& change) {
     database_ = dir_ / (name + ".db");
     if (!fs::exists(database_)) {
       const fs::path partial = dir_ / (name + ".partial.db");
@@ -112,8 +123,9 @@ class Reconstruction {
       change(partial);
       fs::rename(partial, database_);
     }
-    MatchPairs(MatchedPairs(before.database), attempt);
-    artifact_.SaveSeconds();
+  }
+
+  Attempt MapAgain(const std::string& name, Attempt attempt) {
     attempt.models = Map(name, attempt);
     artifact_.SaveSeconds();
     attempt.settings = settings_;
@@ -121,7 +133,6 @@ class Reconstruction {
     return attempt;
   }
 
- private:
   Colmap::Options Common() const {
     return {{"random_seed", std::to_string(settings_.seed)}, {"database_path", database_.native()}};
   }
@@ -487,7 +498,7 @@ Attempt ReconstructWithOwnCameras(const Capture& capture, const Attempt& before,
                                   const std::map<uint32_t, ColmapCamera>& by_image, const std::string& name,
                                   Colmap& colmap, const ArtifactWriter& artifact) {
   return Reconstruction(capture, before.settings, colmap, before.database_file.parent_path(), artifact, nullptr)
-      .RunAgain(before, name, [&](const fs::path& database) { SetOwnCameras(database, by_image); });
+      .RunWithOwnCameras(before, name, by_image);
 }
 
 }  // namespace nrff

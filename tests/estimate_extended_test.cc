@@ -121,6 +121,16 @@ TEST_F(EstimateExtended, OwnFocalLengthsAreHandedOnAndTheWorldIsTheExportedOne) 
     shared_off = std::max(shared_off, (shared.images.at(id).Center() - image.Center()).norm());
   }
   EXPECT_GT(shared_off, 0.1) << "or the test could not fail";
+  // Photos mapped again do not take its place where they lie elsewhere.
+  ColmapModel elsewhere = after;
+  for (auto& [id, image] : elsewhere.images) {
+    image.name = WorkingPhotoName(capture_.images[id - 1]);
+    image.translation += Eigen::Vector3d(id % 2 == 0 ? 1 : -1, 0, 0);
+  }
+  AddModel(0, elsewhere, "own");
+  const Manifest again = Run(options_);
+  EXPECT_EQ(again.facts.at("extension").at("frame_kept"), true);
+  EXPECT_LT((ReadColmapModel(sfm_ / "sparse").images.at(2).Center() - after.images.at(2).Center()).norm(), 1e-6);
   options_.own_focal_lengths = false;
   EXPECT_EQ(Run(options_).facts.at("extension").at("frame_kept"), false);
 }

@@ -41,7 +41,8 @@ done
 case $command in
   feature_extractor) cp "$FAKE/database.db" "$database"; echo "Processed file [1/8]" ;;
   mapper)
-    models="$FAKE/$(basename "$output")"  # models, joined, lenses
+    models="$FAKE/$(basename "$output")"  # models, joined, lenses, own
+    [ -e "$models.fails" ] && exit 1
     cp -r "$models"/. "$output"; echo "Registering image #1 (3)"
     ;;
 esac

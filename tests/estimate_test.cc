@@ -6,6 +6,7 @@
 #include "pipeline/process.h"
 #include "sfm/bundle_refinement.h"
 #include "sfm/colmap_database.h"
+#include "sfm/final_model.h"
 #include "sfm/sfm_diagnosis.h"
 #include "tests/bundle_fixture.h"
 #include "tests/estimate_fixture.h"
@@ -59,7 +60,8 @@ TEST_F(Estimate, TheModelIsRefinedUnlessThatIsLeftOut) {
 }
 
 TEST_F(Estimate, PhotosOfAZoomLensGetFocalLengthsOfTheirOwn) {
-  ColmapModel model = ZoomedRing({1, CameraModel::kSimpleRadial, 64, 48, {55, 32, 24, -0.05}}, 8, 1500, 0.03, 0.1);
+  // Working copies half as large as the photos.
+  ColmapModel model = ZoomedRing({1, CameraModel::kSimpleRadial, 32, 24, {27.5, 16, 12, -0.05}}, 8, 1500, 0.015, 0.1);
   for (auto& [id, image] : model.images) image.name = WorkingPhotoName(capture_.images[id - 1]);
   AddModel(0, model, "models");
   EXPECT_TRUE(Decided(Run(), "own_focal_lengths"));
@@ -105,12 +107,30 @@ TEST_F(Estimate, PhotosOfAZoomLensAreMappedAgainEachWithItsCamera) {
   for (const auto& [id, image] : found.images)
     EXPECT_NEAR(found.cameras.at(image.camera_id).params[0], 55 * ZoomOf(id, 8, 0.1), 0.2);
   EXPECT_EQ(ReadColmapModel(sfm_ / "mapping/model").points.size(), 1100u);
-  // Not where it loses photos.
-  fs::remove_all(fake_ / "own");
-  own.images.erase(8);
-  for (auto& [id, point] : own.points) std::erase_if(point.track, [](const auto& o) { return o.first == 8; });
-  AddModel(0, own, "own");
+  // Not where it fails, loses points, or photos.
+  WriteFileAtomically(fake_ / "own.fails", "");
   EXPECT_EQ(Run().facts.at("n_points"), 1100);
+  fs::remove(fake_ / "own.fails");
+  for (const bool photos : {false, true}) {
+    ColmapModel less = own;
+    if (photos) {
+      less.images.erase(8);
+      for (auto& [id, point] : less.points) std::erase_if(point.track, [](const auto& o) { return o.first == 8; });
+    } else {
+      while (less.points.size() > 1050) less.points.erase(std::prev(less.points.end()));
+      for (auto& [id, image] : less.images) {
+        for (ColmapObservation& seen : image.observations) {
+          if (!less.points.contains(uint64_t(seen.point_id))) seen.point_id = -1;
+        }
+      }
+    }
+    fs::remove_all(fake_ / "own");
+    AddModel(0, less, "own");
+    const Manifest kept = Run();
+    EXPECT_EQ(kept.facts.at("n_points"), 1100) << photos;
+    EXPECT_TRUE(Decided(kept, "own_focal_lengths"));
+    EXPECT_THAT(kept.decisions.back().evidence, HasSubstr("not taken"));
+  }
 }
 
 TEST_F(Estimate, OwnCamerasAreWrittenIntoTheDatabaseAndMatchesStay) {
@@ -121,6 +141,39 @@ TEST_F(Estimate, OwnCamerasAreWrittenIntoTheDatabaseAndMatchesStay) {
   EXPECT_EQ(database.images.at(1).camera_id, 1u);
   EXPECT_EQ(database.images.at(2).camera_id, 2u);
   EXPECT_EQ(database.images.at(5).camera_id, 3u);
+}
+
+TEST_F(Estimate, RigsOfNewerColmapsAreMadeAnewForOwnCameras) {
+  const fs::path file = fake_ / "database.db";
+  sqlite3* connection = nullptr;
+  ASSERT_EQ(sqlite3_open(file.c_str(), &connection), SQLITE_OK);
+  ASSERT_EQ(sqlite3_exec(connection,
+                         "CREATE TABLE rigs (rig_id INTEGER); INSERT INTO rigs VALUES (1);"
+                         "CREATE TABLE frames (frame_id INTEGER); INSERT INTO frames VALUES (1);",
+                         nullptr, nullptr, nullptr),
+            SQLITE_OK);
+  SetOwnCameras(file, {{2, {0, CameraModel::kRadial, 64, 48, {45, 32, 24, -0.25, 0.3}}}});
+  sqlite3_stmt* row = nullptr;
+  sqlite3_prepare_v2(connection, "SELECT (SELECT count(*) FROM rigs) + (SELECT count(*) FROM frames)", -1, &row,
+                     nullptr);
+  ASSERT_EQ(sqlite3_step(row), SQLITE_ROW);
+  EXPECT_EQ(sqlite3_column_int(row, 0), 0);
+  sqlite3_finalize(row);
+  sqlite3_close(connection);
+}
+
+// Only where a zoom can be made up for may it keep richer lenses away.
+TEST_F(Estimate, FocalLengthsThatAreNotToBeKeepNoLensAway) {
+  EstimateOptions options;
+  EXPECT_TRUE(MayHaveOwnFocalLengths(20, options));
+  EXPECT_FALSE(MayHaveOwnFocalLengths(501, options));
+  options.refine = false;
+  EXPECT_FALSE(MayHaveOwnFocalLengths(20, options));
+  options.own_focal_lengths = true;
+  EXPECT_TRUE(MayHaveOwnFocalLengths(501, options));
+  options.own_focal_lengths = false;
+  options.refine = true;
+  EXPECT_FALSE(MayHaveOwnFocalLengths(20, options));
 }
 
 TEST_F(Estimate, FocalLengthsCanBeForcedWhereThereIsTooLittleToTellBy) {

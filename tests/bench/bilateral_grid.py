@@ -1,39 +1,34 @@
 #!/usr/bin/env python3
-"""What bilateral grids could explain of the colours of rendered views that an affine map for each view does not.
+"""Whether photos are better brought to one exposure by bilateral grids than by an affine map of colours for each.
 
-    tests/bench/bilateral_grid.py OUT WORKSPACE…
+    tests/bench/bilateral_grid.py OUT POSE… [--seeds N…] [--steps N] [--bin DIR] [--work DIR]
 
-Needs numpy, scipy and Pillow; writes OUT.json and OUT.md. The held-out views that each workspace has rendered are fitted
-to their photos on the white fields of a chessboard of 16 px and scored on the black ones: as they are, with an affine
-map of colours (3 × 4), and with bilateral grids of such maps (x, y, brightness), interpolated linearly and drawn to
-their neighbours as much as scores best. Fields lie beside each other, so that a grid is shown at its best: what it gains
-here, errors of shape that it hides among it, is the most that it could gain in training."""
+POSE: artifacts of `nrff-pose normalise`, in workspaces named as their captures. Needs numpy, scipy and Pillow; writes
+OUT.json and OUT.md. A model is trained without corrections and renders the training views. Every training photo is then
+mapped to what the model shows of it (where the photos agree, each seen by all): not at all, by an affine map of colours
+(3 × 4), by bilateral grids of such maps (x, y, brightness), interpolated linearly and drawn to their neighbours. A new
+model is trained on the mapped photos, again without corrections. That is one step of what training grids along with the
+field does, with the same start for all; held-out photos stay as they are."""
 import argparse
 import datetime
 import json
 import pathlib
 import shlex
+import shutil
 import statistics
-import sys
+import subprocess
 
 import numpy
 from PIL import Image
 from scipy.sparse import block_diag, coo_matrix, hstack, identity, vstack
 from scipy.sparse.linalg import splu
 
-FIELD_PX = 16
+ROOT = pathlib.Path(__file__).resolve().parents[2]
 AFFINE = (1, 1, 1)
-GRIDS = [(4, 4, 2), (8, 8, 4), (16, 16, 8)]
-SMOOTHNESS = [0.1, 1.0, 10.0]  # relative to a cell's share of the pixels
-TO_NONE = 1e-4                 # the same
-
-
-def image(path):
-    return numpy.asarray(Image.open(path).convert("RGB"), dtype=numpy.float64) / 255
-
-
-def psnr(rendered, truth, where):
-    return -10 * numpy.log10(numpy.mean((numpy.clip(rendered, 0, 1)[where] - truth[where]) ** 2))
+# x, y, brightness; how much cells are drawn to their neighbours, relative to a cell's share of the pixels
+MAPS = {"none": None, "affine": (AFFINE, 0), "4×4×2, 1": ((4, 4, 2), 1), "8×8×4, 1": ((8, 8, 4), 1),
+        "8×8×4, 10": ((8, 8, 4), 10), "16×16×8, 10": ((16, 16, 8), 10)}
+TO_NONE = 1e-4  # how much they are drawn to none, the same
 
 
 def interpolation(rendered, shape):
@@ -64,72 +59,109 @@ def differences(shape):
                       (len(pairs), cells.size)).tocsr()
 
 
-def corrected(rendered, truth, fitted, shape, smoothness):
-    """The rendered view with the grid of maps that fits best where `fitted` says."""
-    colours = numpy.concatenate([rendered.reshape(-1, 3), numpy.ones((rendered.size // 3, 1))], 1)
-    weights = interpolation(rendered, shape)
+def mapped(photo, shown, shape, smoothness):
+    """The photo by the grid of maps that brings it nearest to what is shown; both [height, width, 3], 0 to 1."""
+    colours = numpy.concatenate([photo.reshape(-1, 3), numpy.ones((photo.size // 3, 1))], 1)
+    weights = interpolation(photo, shape)
     design = hstack([weights.multiply(colours[:, k:k + 1]) for k in range(4)]).tocsr()
-    share = fitted.sum() / weights.shape[1]
-    parts = [design[fitted.ravel()], identity(design.shape[1]) * numpy.sqrt(TO_NONE * share)]
+    share = len(colours) / weights.shape[1]
+    parts = [design, identity(design.shape[1]) * numpy.sqrt(TO_NONE * share)]
     if shape != AFFINE:
         parts.append(block_diag([differences(shape)] * 4) * numpy.sqrt(smoothness * share))
     stacked = vstack(parts).tocsc()
     solve = splu((stacked.T @ stacked).tocsc()).solve
-    result = rendered.copy()
+    result = photo.copy()
     for channel in range(3):
-        residual = (truth - rendered)[..., channel].ravel()[fitted.ravel()]
-        result[..., channel] += (design @ solve(parts[0].T @ residual)).reshape(rendered.shape[:2])
+        residual = (shown - photo)[..., channel].ravel()
+        result[..., channel] += (design @ solve(design.T @ residual)).reshape(photo.shape[:2])
     return result
 
 
-def measure(workspace):
+def read(path):
+    with open(path) as file:
+        return json.load(file)
+
+
+def train(scene, out, seed, args):
+    if not (out / "manifest.json").exists():
+        subprocess.run([args.bin / "nrff-train", "--scene", scene, "--out", out, "--steps", str(args.steps), "--seed",
+                        str(seed), "--exposure-correction", "off", "--quiet"], check=True)
+    return out
+
+
+def with_mapped_photos(pose, renders, into, how):
+    """A copy of the artifact whose training photos are mapped to the renders."""
+    shutil.copytree(pose, into, dirs_exist_ok=True)
+    pack = numpy.fromfile(pose / "images.u8", dtype=numpy.uint8)
+    for view in read(pose / "scene.json")["views"]:
+        if view["split"] != "train":
+            continue
+        height, width, channels = view["height"], view["width"], view["channels"]
+        pixels = pack[view["pack_offset"]:][:height * width * channels].reshape(height, width, channels)
+        shown = numpy.asarray(Image.open(renders / "rgb" / f"{view['id']}.png").convert("RGB")) / 255
+        result = mapped(pixels[..., :3] / 255, shown, *how)
+        pixels[..., :3] = numpy.clip(numpy.round(result * 255), 0, 255)
+    pack.tofile(into / "images.u8")
+    return into
+
+
+def measure(pose, args):
+    name = pose.parent.name
+    work = args.work.resolve() / name
     rows = []
-    for path in sorted((workspace / "eval").glob("truth/*.png")):
-        truth, rendered = image(path), image(workspace / "render/rgb" / path.name)
-        y, x = numpy.mgrid[0:truth.shape[0], 0:truth.shape[1]] // FIELD_PX
-        fitted = (x + y) % 2 == 0
-        row = {"view": path.stem, "plain": psnr(rendered, truth, ~fitted),
-               "affine": psnr(corrected(rendered, truth, fitted, AFFINE, 0), truth, ~fitted)}
-        for shape in GRIDS:
-            for smoothness in SMOOTHNESS:
-                row[f"{'×'.join(map(str, shape))}, {smoothness:g}"] = psnr(
-                    corrected(rendered, truth, fitted, shape, smoothness), truth, ~fitted)
-        rows.append(row)
-    if not rows:
-        sys.exit(f"{workspace} has no scored held-out views")
-    keys = [key for key in rows[0] if key != "view"]
-    return {"capture": workspace.name, "n_views": len(rows), **{key: statistics.mean(row[key] for row in rows) for key in keys}}
+    for label, how in MAPS.items():
+        runs = []
+        for seed in args.seeds:
+            first = train(pose, work / f"first-{seed}", seed, args)
+            renders = work / f"renders-{seed}"
+            if not renders.exists():
+                subprocess.run([args.bin / "nrff-render", "--scene", pose, "--model", first, "--out", renders,
+                                "--split", "train", "--quiet"], check=True)
+            out = work / f"{label}-{seed}"
+            scene = pose if how is None else with_mapped_photos(pose, renders, out / "pose", how)
+            model = train(scene, out / "train", seed + 100, args)
+            for command in (["nrff-render", "--scene", pose, "--model", model, "--out", out / "render", "--quiet"],
+                            ["nrff-eval", "--scene", pose, "--renders", out / "render", "--out", out / "eval",
+                             "--lpips", "none", "--quiet"]):
+                subprocess.run([args.bin / command[0], *command[1:]], check=True)
+            metrics = read(out / "eval/metrics.json")["metrics"]
+            runs.append({"psnr": metrics["psnr"], "ssim": metrics["ssim"], **metrics["variants"]})
+        rows.append({"map": label, "runs": runs})
+        print(name, label, " ".join(f"{run['psnr']:.2f}" for run in runs), flush=True)
+    return {"capture": name, "rows": rows}
 
 
 def table(result):
-    captures = result["captures"]
-    lines = ["# What bilateral grids could explain", "",
-             f"PSNR in dB of the black fields of a chessboard, colours fitted on the white ones, mean over held-out views "
-             f"(`{result['command']}`, {result['date']}). Grids: x × y × brightness, and how much cells are drawn to "
-             "their neighbours; in bold the best of a capture.", "",
-             "| | " + " | ".join(f"{capture['capture']} ({capture['n_views']})" for capture in captures) + " |",
-             "|---|" + "---:|" * len(captures)]
-    for key in [key for key in captures[0] if key not in ("capture", "n_views")]:
-        cells = [f"**{capture[key]:.2f}**" if key == best(capture) else f"{capture[key]:.2f}" for capture in captures]
-        lines.append(f"| {key} | " + " | ".join(cells) + " |")
+    lines = ["# Bilateral grids or affine maps of colours", "",
+             f"`{result['command']}`, {result['date']}: models trained on photos mapped to what a first model shows of "
+             f"them, {result['steps']} steps of the preset small each, mean over {len(result['seeds'])} seeds. PSNR of "
+             "held-out views, dB: as they are, of their right halves, and of these with colours fitted (an affine map) "
+             "on the left halves. Grids: x × y × brightness, and how much cells are drawn to their neighbours.", "",
+             "| capture | map | PSNR (each seed) | right half | colours fitted | SSIM |", "|---|---|---:|---:|---:|---:|"]
+    for capture in result["captures"]:
+        for row in capture["rows"]:
+            mean = {key: statistics.mean(run[key] for run in row["runs"]) for key in row["runs"][0]
+                    if all(isinstance(run.get(key), float) for run in row["runs"])}
+            each = ", ".join(f"{run['psnr']:.2f}" for run in row["runs"])
+            lines.append(f"| {capture['capture']} | {row['map']} | {mean['psnr']:.2f} ({each}) | "
+                         f"{mean['psnr_right_half']:.2f} | {mean['psnr_colour_fitted']:.2f} | {mean['ssim']:.4f} |")
     return "\n".join(lines) + "\n"
-
-
-def best(capture):
-    return max((key for key in capture if "," in key), key=capture.get)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=pathlib.Path)
-    parser.add_argument("workspaces", type=pathlib.Path, nargs="+")
+    parser.add_argument("poses", type=pathlib.Path, nargs="+")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--steps", type=int, default=800)
+    parser.add_argument("--bin", type=pathlib.Path, default=ROOT / "build/bin")
+    parser.add_argument("--work", type=pathlib.Path, default=pathlib.Path("bilateral-work"))
     args = parser.parse_args()
-    names = " ".join(shlex.quote(workspace.name) for workspace in args.workspaces)
-    result = {"command": f"tests/bench/bilateral_grid.py {args.out.name} {names}",
-              "date": datetime.date.today().isoformat(), "captures": []}
-    for workspace in args.workspaces:
-        result["captures"].append(measure(workspace))
-        print(json.dumps(result["captures"][-1]), flush=True)
+    names = " ".join(shlex.quote(f"{pose.parent.name}/pose") for pose in args.poses)
+    result = {"command": f"tests/bench/bilateral_grid.py {args.out.name} {names}", "steps": args.steps,
+              "seeds": args.seeds, "date": datetime.date.today().isoformat(), "captures": []}
+    for pose in args.poses:
+        result["captures"].append(measure(pose, args))
         args.out.with_suffix(".json").write_text(json.dumps(result, indent=1) + "\n")
         args.out.with_suffix(".md").write_text(table(result))
 

@@ -6,8 +6,8 @@
 DATA_DIR holds photos/maryrose, scenes/fox and colmap_models/cup_simple_pinhole, whose given poses are the truth. Each of
 the captures is also estimated under random file names, in which no order is left, and captures of 16 to 500 photos of
 the example generator give the number of pairs by the number of photos. OUT.md is written beside OUT.json. Finished
-steps are kept in the work folder and not timed again. Other programs disturb wall times; the seconds of processor time
-are the fair comparison. Python's standard library only.
+steps are kept in the work folder and not timed again; captures that are not run keep their rows. Other programs
+disturb wall times; the seconds of processor time are the fair comparison. Python's standard library only.
 """
 
 import argparse
@@ -231,9 +231,10 @@ def count_pairs(n_images, work, binaries):
 
 
 def table(result):
+    when = "; ".join(f"{row['capture']}: {row['date']}, {row['machine']['cpu']}, {row['machine']['cores']} cores"
+                     for row in result["captures"])
     lines = [f"Poses by `nrff-pose estimate` beside COLMAP {result['colmap_version']}'s default settings with exhaustive "
-             f"matching, {result['date']}, {result['machine']['cpu']}, {result['machine']['cores']} cores "
-             f"(`{result['command']}`).", "",
+             f"matching (`tests/bench/matching.py DATA_DIR OUT.json`; {when}).", "",
              "Other programs ran on these cores: processor seconds are the fair comparison. Errors are against the poses "
              "that came with the captures: medians after alignment, positions in thousandths of the cameras' radius. "
              "`simple` is nrff with COLMAP's SIMPLE_RADIAL lens and last adjustment, neither chosen nor refined. Pairs "
@@ -271,14 +272,16 @@ def main():
     options = parser.parse_args()
     binaries, work = options.bin.resolve(), options.work.resolve()
     version = subprocess.run(["colmap", "help"], capture_output=True, text=True, env=ENVIRONMENT).stdout
-    result = {"schema_version": 1, "date": datetime.date.today().isoformat(),
-              "command": f"tests/bench/matching.py DATA_DIR OUT.json --only {' '.join(options.only)}",
-              "machine": machine(),
-              "colmap_version": version.split()[1],
-              "pairs_by_photos": [count_pairs(n, work / f"pairs-{n}", binaries)
-                                  for n in (NUMBERS_OF_PHOTOS if PAIRS in options.only else [])],
-              "captures": [run_capture(options.data.resolve(), name, work / name, binaries)
-                           for name in options.only if name != PAIRS]}
+    result = json.loads(options.out.read_text()) if options.out.exists() else {"captures": [], "pairs_by_photos": []}
+    rows = {row["capture"]: row for row in result["captures"]}
+    host = {"date": datetime.date.today().isoformat(), "machine": machine()}
+    for name in options.only:
+        if name != PAIRS:
+            rows[name] = run_capture(options.data.resolve(), name, work / name, binaries) | host
+    if PAIRS in options.only:
+        result["pairs_by_photos"] = [count_pairs(n, work / f"pairs-{n}", binaries) for n in NUMBERS_OF_PHOTOS]
+    result = {"schema_version": 2, "colmap_version": version.split()[1], "pairs_by_photos": result["pairs_by_photos"],
+              "captures": [rows[name] for name in NAMES if name in rows]}
     options.out.write_text(json.dumps(result, indent=1) + "\n")
     options.out.with_suffix(".md").write_text(table(result))
     print(table(result))
