@@ -325,7 +325,7 @@ void EstimatePoses(const fs::path& ingest_dir, const EstimateOptions& options, A
   const ColmapModel model = AsDisplayed(full_size, capture);
   fs::create_directories(artifact.dir() / kGivenModelDir);
   WriteColmapBinary(model, artifact.dir() / kGivenModelDir);
-  RecordFacts(attempts, attempts[best], capture, model, artifact.facts());
+  RecordFacts(attempts, final.took_mapped_again ? attempts.back() : attempts[best], capture, model, artifact.facts());
   artifact.facts()["lens_trials"] = LensTrials(lenses);
   if (!groups.empty()) {
     artifact.facts()["groups"] = PiecesJson(capture, pieces);

@@ -32,10 +32,11 @@ struct EstimateOptions {
 // needs::RicherLens says so (lens_choice.h): then matches are verified and photos mapped again with these, and the
 // result is refined where needs::Refinement says so (bundle_refinement.h), principal points only where lenses are
 // richer: freed with simple ones they turned maryrose's cameras by 0.64° from the given ones instead of 0.05°. Photos
-// of a group share a camera, unless needs::OwnFocalLengths gives each a focal length of its own at the very end. Photos
-// that fall into groups which nothing joins are listed in groups/N.txt, and the largest group goes on. What another
-// estimate can go on from stays in mapping/, and how well the photos fix the model in refinement.json
-// (bundle_refinement.h; up to kMostImagesForCovariance photos); both are no payload.
+// of a group share a camera, unless needs::OwnFocalLengths gives each a focal length of its own at the very end, with
+// which photos are mapped again (final_model.h); that is part of refinement and left out with it. Photos that fall into
+// groups which nothing joins are listed in groups/N.txt, and the largest group goes on. What another estimate can go on
+// from stays in mapping/, and how well the photos fix the model in refinement.json (bundle_refinement.h; up to
+// kMostImagesForCovariance photos); both are no payload.
 //
 // With a base, its model grows by the added photos (Reconstruct), is checked (needs::SameWorld) and laid over the
 // base's world. Where it does not hold or lacks photos, all are mapped from scratch, of the features and matches that

@@ -65,6 +65,7 @@ void TakeMappedAgain(const Capture& capture, const Attempt& attempt, const std::
     taken = better.certificate.accepted && (!grown_from || grown_from->same_world(better.model));
     if (taken) final.own_focal = std::move(better.model);
   }
+  final.took_mapped_again = taken;
   const std::string found = "mapped again with these, " + std::to_string(n_again) + " observations agree instead of " +
                             std::to_string(n_before) + (taken ? "" : ": not taken");
   own.evidence += "; " + found;

@@ -20,7 +20,8 @@ struct FinalModel {
   ColmapModel shared;                    // as COLMAP can go on from it
   std::optional<ColmapModel> own_focal;  // with a focal length for each image
   BundleOptions options;                 // what model() was solved with, or would have been
-  std::optional<Attempt> mapped_again;   // for own focal lengths, taken or not
+  std::optional<Attempt> mapped_again;   // for own focal lengths
+  bool took_mapped_again = false;
 
   const ColmapModel& model() const { return own_focal ? *own_focal : shared; }
 };

@@ -103,6 +103,7 @@ TEST_F(Estimate, PhotosOfAZoomLensAreMappedAgainEachWithItsCamera) {
   EXPECT_EQ(manifest.facts.at("n_points"), 1500);
   EXPECT_EQ(manifest.facts.at("attempts").back().at("settings"), "thorough, own focal lengths");
   EXPECT_EQ(manifest.facts.at("attempts").back().at("n_pairs"), 0);
+  EXPECT_EQ(manifest.facts.at("models").at(0).at("n_points"), 1500);
   const ColmapModel found = ReadColmapModel(sfm_ / "sparse");
   for (const auto& [id, image] : found.images)
     EXPECT_NEAR(found.cameras.at(image.camera_id).params[0], 55 * ZoomOf(id, 8, 0.1), 0.2);

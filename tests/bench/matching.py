@@ -70,6 +70,7 @@ def given_poses(data, name, work):
         frames = json.loads((data / "scenes/fox/transforms.json").read_text())["frames"]
         return {pathlib.Path(frame["file_path"]).name: [[row[0], -row[1], -row[2], row[3]]
                                                         for row in frame["transform_matrix"][:3]] for frame in frames}
+    work.mkdir(parents=True, exist_ok=True)
     subprocess.run(["colmap", "model_converter", "--input_path", data / "colmap_models/cup_simple_pinhole/sparse/0",
                     "--output_path", work, "--output_type", "TXT"], check=True, capture_output=True, env=ENVIRONMENT)
     lines = [line for line in (work / "images.txt").read_text().splitlines() if not line.startswith("#")]
