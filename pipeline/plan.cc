@@ -1,6 +1,7 @@
 #include "pipeline/plan.h"
 
 #include <fmt/format.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <iostream>
@@ -10,7 +11,9 @@
 #include "pipeline/error.h"
 #include "pipeline/files.h"
 #include "pipeline/local_executor.h"
+#include "pipeline/plan_table.h"
 #include "pipeline/progress.h"
+#include "pipeline/progress_view.h"
 #include "pipeline/run.h"
 #include "pipeline/scene.h"
 
@@ -120,7 +123,7 @@ BranchPlan PlanBranch(const BranchRequest& request, Executor& executor) {
   return plan;
 }
 
-void PrintPlans(const std::vector<BranchPlan>& plans, std::ostream& out) {
+void PrintPlans(const std::vector<BranchPlan>& plans, std::optional<int> explained, std::ostream& out) {
   for (const BranchPlan& plan : plans) {
     out << plan.request.name << ": " << EscapePath(plan.request.capture) << " → "
         << EscapePath(plan.request.workspace.root()) << '\n';
@@ -147,6 +150,10 @@ void PrintPlans(const std::vector<BranchPlan>& plans, std::ostream& out) {
     if (trains) out << "  " << TrainingText(plan) << '\n';
     if (trains && plan.extension.at("extension").is_object()) {
       out << "  of that a training that goes on takes the added views' share, a quarter at least\n";
+    }
+    if (explained) {
+      out << DecisionTable(plan, *explained);
+      continue;
     }
     for (const Decision& decision : plan.decisions) {
       const bool forced = ForcedDecision(plan.request, decision.feature).has_value();
@@ -187,7 +194,7 @@ Json PlansToJson(const std::vector<BranchPlan>& plans) {
   return {{"captures", captures}};
 }
 
-void PlanAndPrint(const std::vector<BranchRequest>& requests, bool json) {
+void PlanAndPrint(const std::vector<BranchRequest>& requests, bool json, bool explain) {
   LocalExecutor executor;
   std::vector<BranchPlan> plans;
   for (const BranchRequest& request : requests) {
@@ -197,7 +204,9 @@ void PlanAndPrint(const std::vector<BranchRequest>& requests, bool json) {
   if (json) {
     PrintJson(PlansToJson(plans));
   } else if (plans.size() > 1 || plans.front().error.empty()) {
-    PrintPlans(plans, std::cout);
+    constexpr int kColumnsOfFiles = 120;
+    const int columns = TerminalColumns(STDOUT_FILENO);
+    PrintPlans(plans, explain ? std::optional(columns > 0 ? columns : kColumnsOfFiles) : std::nullopt, std::cout);
   }
   ThrowIfUnplanned(plans);
 }
@@ -206,14 +215,16 @@ Command AddPlanCommand(CLI::App& app) {
   struct Options {
     BranchOptions branch;
     OutputOptions output;
+    bool explain = false;
   };
   auto options = std::make_shared<Options>();
   CLI::App* command = app.add_subcommand("plan", "What a run would do, and why");
   AddTargetOption(*command, options->branch);
   AddBranchOptions(*command, options->branch);
   AddJsonOption(*command, options->output);
-  command->footer(kFeaturesHelp + std::string("Example: nrff plan photos/ --preset small"));
-  return {command, [options] { PlanAndPrint(MakeBranches(options->branch), options->output.json); }};
+  command->add_flag("--explain", options->explain, "All decisions: by what, with which bound, why")->excludes("--json");
+  command->footer(kFeaturesHelp + std::string("Example: nrff plan photos/ --preset small --explain"));
+  return {command, [options] { PlanAndPrint(MakeBranches(options->branch), options->output.json, options->explain); }};
 }
 
 }  // namespace nrff

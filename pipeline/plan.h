@@ -1,6 +1,7 @@
 // What a run would do, and why, before it does it.
 #pragma once
 
+#include <optional>
 #include <ostream>
 #include <string>
 #include <vector>
@@ -27,10 +28,12 @@ struct BranchPlan {
 // Nothing is written. What cannot be planned says so in `error`.
 BranchPlan PlanBranch(const BranchRequest& request, Executor& executor);
 
-void PrintPlans(const std::vector<BranchPlan>& plans, std::ostream& out);
+// `explained`: with all decisions as a table (plan_table.h) of so many columns; else what is left out alone, a line
+// each.
+void PrintPlans(const std::vector<BranchPlan>& plans, std::optional<int> explained, std::ostream& out);
 Json PlansToJson(const std::vector<BranchPlan>& plans);
 
 // Plans and prints. Throws the first plan's error when one cannot be made.
-void PlanAndPrint(const std::vector<BranchRequest>& requests, bool json);
+void PlanAndPrint(const std::vector<BranchRequest>& requests, bool json, bool explain = false);
 
 }  // namespace nrff
