@@ -13,6 +13,8 @@
 namespace nrff {
 namespace {
 
+constexpr double kLeastObservationRatio = 1.05;  // of photos mapped again
+
 bool HasRicherLens(const ColmapModel& model) {
   return std::any_of(model.cameras.begin(), model.cameras.end(), [](const auto& camera) {
     const CameraModel lens = camera.second.model;
@@ -59,7 +61,8 @@ void TakeMappedAgain(const Capture& capture, const Attempt& attempt, const std::
   }
   const ColmapModel* again = LargestModel(final.mapped_again->models);
   const size_t n_before = NumObservations(before), n_again = again ? NumObservations(*again) : 0;
-  bool taken = again && again->images.size() >= before.images.size() && n_again >= n_before;
+  bool taken = again && again->images.size() >= before.images.size() &&
+               double(n_again) >= kLeastObservationRatio * double(n_before);
   if (taken) {
     RefinedBundle better = WithOwnFocalLengths(*again, final.shared, n_threads);
     taken = better.certificate.accepted && (!grown_from || grown_from->same_world(better.model));

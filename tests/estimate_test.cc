@@ -108,7 +108,7 @@ TEST_F(Estimate, PhotosOfAZoomLensAreMappedAgainEachWithItsCamera) {
   for (const auto& [id, image] : found.images)
     EXPECT_NEAR(found.cameras.at(image.camera_id).params[0], 55 * ZoomOf(id, 8, 0.1), 0.2);
   EXPECT_EQ(ReadColmapModel(sfm_ / "mapping/model").points.size(), 1100u);
-  // Not where it fails, loses points, or photos.
+  // Not where it fails, gains next to no points, or loses photos.
   WriteFileAtomically(fake_ / "own.fails", "");
   EXPECT_EQ(Run().facts.at("n_points"), 1100);
   fs::remove(fake_ / "own.fails");
@@ -118,7 +118,7 @@ TEST_F(Estimate, PhotosOfAZoomLensAreMappedAgainEachWithItsCamera) {
       less.images.erase(8);
       for (auto& [id, point] : less.points) std::erase_if(point.track, [](const auto& o) { return o.first == 8; });
     } else {
-      while (less.points.size() > 1050) less.points.erase(std::prev(less.points.end()));
+      while (less.points.size() > 1130) less.points.erase(std::prev(less.points.end()));
       for (auto& [id, image] : less.images) {
         for (ColmapObservation& seen : image.observations) {
           if (!less.points.contains(uint64_t(seen.point_id))) seen.point_id = -1;
