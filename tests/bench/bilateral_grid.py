@@ -134,7 +134,7 @@ def measure(pose, args):
 def table(result):
     lines = ["# Bilateral grids or affine maps of colours", "",
              f"`{result['command']}`, {result['date']}: models trained on photos mapped to what a first model shows of "
-             f"them, {result['steps']} steps of the preset small each, mean over {len(result['seeds'])} seeds. PSNR of "
+             f"them, {result['steps']} steps of the preset small each, means over {len(result['seeds'])} seed(s). PSNR of "
              "held-out views, dB: as they are, of their right halves, and of these with colours fitted (an affine map) "
              "on the left halves. Grids: x × y × brightness, and how much cells are drawn to their neighbours.", "",
              "| capture | map | PSNR (each seed) | right half | colours fitted | SSIM |", "|---|---|---:|---:|---:|---:|"]
