@@ -179,7 +179,8 @@ Node MakeNode(const Stage& stage, const BranchRequest& request, const Machine& m
 // Of a capture that brings its poses.
 void WarnOfIdleOptions(const BranchRequest& request) {
   std::string idle;
-  for (const auto& [option, value] : Given(Table()[size_t(OrderOf("sfm"))].params, request)) {
+  for (const auto& given : Given(Table()[size_t(OrderOf("sfm"))].params, request)) {
+    const std::string& option = given.first;
     if (option == "seed") continue;  // of other stages, too
     const auto forceable =
         std::find_if(Forceables().begin(), Forceables().end(), [&](const Forceable& f) { return f.option == option; });
