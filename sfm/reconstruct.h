@@ -10,17 +10,14 @@
 #include <filesystem>
 #include <functional>
 #include <map>
-#include <optional>
 #include <set>
 #include <string>
-#include <vector>
 
 #include "pipeline/manifest.h"
+#include "sfm/attempt.h"
 #include "sfm/capture.h"
-#include "sfm/colmap_database.h"
 #include "sfm/colmap_model.h"
 #include "sfm/colmap_runner.h"
-#include "sfm/image_pairs.h"
 #include "sfm/sfm_settings.h"
 
 namespace nrff {
@@ -32,24 +29,6 @@ struct EarlierMapping {
   // Whether the model grown by the added photos holds; if not, or where it lacks photos, all are mapped from scratch.
   std::function<bool(const ColmapModel& grown)> holds;
 };
-
-struct Attempt {
-  SfmSettings settings;              // as they came to be
-  std::vector<ColmapModel> models;   // of the working photos; may be none
-  std::optional<ColmapModel> grown;  // the earlier model with the added photos, where there was one
-  ColmapDatabase database;           // after matching
-  std::filesystem::path database_file;
-  size_t n_pairs = 0;
-  double seconds_features = 0, seconds_matching = 0, seconds_mapping = 0;
-};
-
-// By photos, then points; nullptr where there is none.
-const ColmapModel* LargestModel(const std::vector<ColmapModel>& models);
-
-// What the attempt came to: the earlier model grown by the added photos, unless mapping from scratch placed more;
-// nullptr and 0 photos where there is none.
-const ColmapModel* BestModel(const Attempt& attempt);
-size_t NumRegistered(const Attempt& attempt);
 
 // Throws what Colmap throws; a mapper that finds no model is no failure. Where photos stay outside of the largest
 // model, pairs of them with it are matched, too, and if any of these hold, mapping is done again: pieces that were
